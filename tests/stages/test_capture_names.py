@@ -137,3 +137,39 @@ def test_decimal_numbers_with_a_gap_are_times_and_other_names_say_nothing():
     assert places(["a1_1.png", "a1_2.png", "a2_9.png"]) == ([0, 1, 2], None)
     assert places(["a.png", "b1.png", "c9.png"]) == ([0, 1, 2], None)
     assert places(["f1.jpg", "f1.png", "f2.png", "f4.png"])[0] == [0, 1, 2, 3], "two pictures have one number"
+
+
+FLAT_RIGS = {
+    "cameras first": (("cam{c:02d}_{t:04d}.png", 3, 6), "3 by 6, cam00_0000.png to cam02_0005.png"),
+    "times first": (("Birthday_undist_{t:05d}_{c:02d}.png", 4, 5), "5 by 4, Birthday_undist_00000_00.png to Birthday_undist_00004_03.png"),
+    "crops of a panorama": (("frame_{t:05d}_{c}.png", 8, 3), "3 by 8, frame_00000_0.png to frame_00002_7.png"),
+}
+
+
+@pytest.mark.parametrize("case", FLAT_RIGS)
+@pytest.mark.parametrize("folder", ["", "images/"])
+def test_a_rig_in_one_folder_is_told(tmp_path, case, folder):
+    """Only its names speak of several cameras, so it is read as before."""
+    (pattern, cameras, times), counts = FLAT_RIGS[case]
+    pictures(tmp_path, [folder + pattern.format(c=c, t=t) for c in range(cameras) for t in range(times)])
+    capture = recognise(tmp_path)
+    assert capture.facts["cameras"] == 1 and capture.facts["times"] == cameras * times
+    (note,) = capture.notes
+    assert counts.replace(", ", f", {folder}").replace("to ", f"to {folder}") in note and "ONE camera over time" in note
+    assert recognise(tmp_path, static=True).notes == ()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"take2_{t:04d}.png" for t in range(6)],  # one number
+        [f"cam{c}_{t}.png" for c in range(2) for t in range(3)][:-1],  # one is missing
+        [f"{t}_{t}.png" for t in range(4)],
+        [f"IMG_{20240101 + t // 2}_{120000 + 17 * t}.png" for t in range(4)],  # dates and times of day
+        [f"{t // 4}.{t % 4}.png" for t in range(8)],  # decimal numbers
+        [f"{a}_{b}_{c}.png" for a in range(2) for b in range(2) for c in range(2)],
+    ],
+)
+def test_other_names_with_two_numbers_are_no_rig(tmp_path, names):
+    pictures(tmp_path, names)
+    assert not any("ONE camera" in note for note in recognise(tmp_path).notes)

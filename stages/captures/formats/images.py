@@ -12,7 +12,7 @@ from ..keep_masks import add_masks, turn_masks
 from ..listing import copies
 from ..listing.kinds import PICTURE, colour_only, kind_of
 from ..listing.names import by_value, is_image
-from ..listing.numbers import places
+from ..listing.numbers import grid, places
 from ..listing.several import apart, several, told
 from ..listing.twins import without_depth
 from ..listing.unread import described
@@ -65,6 +65,7 @@ def read(root: Path, options: Options) -> Reading:
     thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if len(taken) < len(found) else ()
     ordered = by_value([name.removeprefix(prefix) for name in found])
     decimals = (f"the names are decimal numbers and are sorted by value: {found[0]} to {found[-1]}",) if ordered else ()
+    order = [gaps] if gaps else [] if options.static or (counts := grid(found)) is None else [_rig_told(found, *counts)]
     # Frames of a video and photos of a static scene cannot be told apart by their files; only --static says that nothing moves.
     return Reading(
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
@@ -73,8 +74,17 @@ def read(root: Path, options: Options) -> Reading:
         sources=(*([prefix + CAMERA_MATRIX] if hint is not None else []), *copied),
         K_hint=hint,
         upright=upright,
-        notes=(*thinned, *decimals, *([gaps] if gaps else []), *told(root, paths), *copies.told(copied, "pictures"), *said, *masked),
+        notes=(*thinned, *decimals, *order, *told(root, paths), *copies.told(copied, "pictures"), *said, *masked),
         spoken_for=deep,
+    )
+
+
+def _rig_told(names: list[str], first: int, second: int) -> str:
+    """A line about names with two numbers, of `first` and `second` values. Which of them is the camera, names do not say for sure."""
+    return (
+        f"the names hold two numbers in all combinations ({first} by {second}, {names[0]} to {names[-1]}), as those of several cameras at "
+        "several times do, but they are read as ONE camera over time; if there are several, put the pictures of each into a folder camNN/ "
+        "and add their poses, or encode one video of each camera and give the folder of videos"
     )
 
 

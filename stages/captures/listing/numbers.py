@@ -41,6 +41,16 @@ def places(names: Sequence[str]) -> tuple[list[int], str | None]:
     )
 
 
+def grid(names: Sequence[str]) -> tuple[int, int] | None:
+    """How many values each of the two numbers in `names` has, if the names differ in just two numbers and hold all combinations of them,
+    as those of several cameras at several times do; None otherwise, and for decimal numbers."""
+    columns = None if decimal_of(names) is not None else _columns(names)
+    if columns is None or len(columns) != 2:
+        return None
+    first, second = (len(set(column)) for column in columns)
+    return (first, second) if len(set(zip(*columns, strict=True))) == len(names) == first * second else None
+
+
 def _gap(before: Fraction, after: Fraction, step: Fraction) -> str:
     first, last = before + step, after - step
     return _text(first) if first == last else f"{_text(first)} to {_text(last)}"
@@ -55,8 +65,14 @@ def _numbers(names: Sequence[str]) -> list[Fraction] | None:
     decimals = decimal_of(names)
     if decimals is not None:
         return decimals
+    columns = _columns(names)
+    return [Fraction(number) for number in columns[0]] if columns is not None and len(columns) == 1 else None
+
+
+def _columns(names: Sequence[str]) -> list[list[int]] | None:
+    """The numbers at each place of the names where these differ; None if the names differ in other parts."""
     split = [re.split(r"([0-9]+)", posixpath.splitext(name)[0]) for name in names]
     if len({tuple(parts[::2]) for parts in split}) != 1:
         return None
-    columns = [column for column in list(zip(*split, strict=True))[1::2] if len(set(map(int, column))) > 1]
-    return [Fraction(int(text)) for text in columns[0]] if len(columns) == 1 else None
+    columns = [[int(text) for text in column] for column in list(zip(*split, strict=True))[1::2]]
+    return [column for column in columns if len(set(column)) > 1]
