@@ -184,7 +184,8 @@ def _advice(root: Path) -> str:
                 return f"{part}{name} is not a file but a broken link, a pipe or a device; put the file itself there"
     folders = [name for name in names if (root / name).is_dir() and not checks.is_foreign(root / name)]
     there = described(root)
-    if (rig := rig_without_poses(root, folders)) is not None:
+    inside = _inside(root, folders)
+    if (rig := rig_without_poses(root, folders) or rig_without_poses(root, inside)) is not None:
         return f"{rig}{there}"
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
@@ -199,6 +200,14 @@ def _advice(root: Path) -> str:
         return f"{named}, with no picture or video in any: copy them there, or pass another folder{there}"
     known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
     return f"Expected a video or several of one event, images, {known}{there}"
+
+
+def _inside(root: Path, folders: list[str]) -> list[str]:
+    """The folders in images/, or in the only folder that the capture has, relative to `root`."""
+    outer = "images" if "images" in folders else folders[0] if len(folders) == 1 else None
+    if outer is None:
+        return []
+    return [f"{outer}/{name}" for name in checks.list_folder(root / outer) if (root / outer / name).is_dir()]
 
 
 def _place_of_pictures(model: str) -> str:

@@ -98,7 +98,7 @@ def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
     if any(name.endswith(".pose.txt") for folder in named for name in checks.list_folder(root / folder)):
         return None  # sequences of one camera, each with its poses
     alike = [folder for folder in named if sum(names == named[folder] for names in named.values()) > 1]
-    if len(alike) < 2 or 2 * len(alike) < len(named) or {"images", "masks", "depth"} & set(alike):
+    if len(alike) < 2 or 2 * len(alike) < len(named) or {"images", "masks", "depth"} & {posixpath.basename(folder) for folder in alike}:
         return None
     seen = [name for name in checks.list_folder(root) if re.match(r"(poses_bounds|sparse|colmap|calib|cameras|models)", name)]
     also = f" (seen: {', '.join(seen[:6])})" if seen else ""

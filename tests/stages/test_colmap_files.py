@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures.formats.colmap_model import binary, places
 from factory import Options, make, write_colmap, write_nerfstudio
 from PIL import Image
 
@@ -255,3 +256,25 @@ def test_a_model_as_binary_and_as_text_that_disagree_is_told(root, written, case
     assert_truth(recognise(root), written)  # the binary one
     (line,) = twice_told(root)
     assert line.startswith("sparse/0 has its model as .bin, which is read, and as .txt, which is not") and words in line
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+def test_too_many_points_are_no_damage(root, monkeypatch, suffix):
+    """To export the model again would give as many."""
+    count = len([row for row in (root / "sparse/0/points3D.txt").read_text().splitlines() if row and not row.startswith("#")])
+    if suffix == ".bin":
+        as_both(root)
+        for file in (root / "sparse/0").glob("*.txt"):
+            file.unlink()
+    for module in (places, binary):
+        monkeypatch.setattr(module, "MOST_POINTS", count)
+    assert len(recognise(root).points) == count
+    for module in (places, binary):
+        monkeypatch.setattr(module, "MOST_POINTS", count - 1)
+    with pytest.raises(
+        CaptureError, match=rf"points3D\{suffix}: it has (more than )?\d+ points, and at most {count - 1} are read; thin"
+    ) as e:
+        recognise(root)
+    assert "cut short" not in str(e.value) and "export" not in str(e.value)
+    (root / f"sparse/0/points3D{suffix}").unlink()  # as the message says
+    assert recognise(root).points is None

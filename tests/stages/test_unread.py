@@ -311,6 +311,23 @@ def test_a_rig_without_poses_is_told_so(tmp_path):
         assert words in str(refused.value)
 
 
+@pytest.mark.parametrize("folder", ["images", "data"])
+def test_a_rig_without_poses_in_a_folder_is_told_so_at_once(tmp_path, folder):
+    """Not to pass that folder, which would be refused in its turn."""
+    root = pictures(tmp_path / "rig", [f"{folder}/cam{c}/{t:04d}.png" for c in range(3) for t in range(3)])
+    with pytest.raises(CaptureError) as refused:
+        recognise(root)
+    for words in (f"{folder}/cam0, {folder}/cam1, {folder}/cam2", "cameras of a rig", "poses_bounds.npy"):
+        assert words in str(refused.value)
+    assert "pass the one" not in str(refused.value)
+
+
+def test_rigs_of_several_scenes_are_a_choice(tmp_path):
+    root = pictures(tmp_path / "rig", [f"scene{s}/cam{c}/{t:04d}.png" for s in range(2) for c in range(3) for t in range(3)])
+    with pytest.raises(CaptureError, match="It has the folders scene0, scene1: pass the one"):
+        recognise(root)
+
+
 def test_the_search_is_bounded(tmp_path, monkeypatch):
     root = photos(tmp_path, *(f"{'d/' * deep}a.ply" for deep in range(1, 14)))
     (root / "circle").symlink_to(root)

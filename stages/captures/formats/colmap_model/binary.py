@@ -11,7 +11,7 @@ import numpy as np
 
 from .....pipeline import CaptureError
 from ...arrays import MOST_POINTS
-from .records import LAYOUT, MODELS, MOST_IMAGES, CameraRecord, ImageRecord, refusal
+from .records import LAYOUT, MODELS, MOST_IMAGES, CameraRecord, ImageRecord, refusal, too_many_points
 
 _LONGEST_NAME = 4096
 
@@ -28,10 +28,13 @@ class _Bytes:
     def count(self, what: str, most: int, least: int) -> int:
         """Reads the number of records that follow, each of at least ``least`` bytes."""
         count = int(self.take("Q")[0])
-        if count > most:
-            raise ValueError(f"{count} {what}, which are more than a capture has")
         if count * least > len(self.data) - self.at:
             raise ValueError(f"{count} {what} in {len(self.data)} bytes")
+        if count > most:  # and they are there, so nothing is cut short
+            told = (
+                too_many_points(str(count), most) if what == "points" else f"it has {count} {what}, and at most {most} are read; split it"
+            )
+            raise CaptureError(told)
         return count
 
     def take(self, layout: str) -> tuple:

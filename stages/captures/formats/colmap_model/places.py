@@ -17,7 +17,7 @@ from .....pipeline import CaptureError
 from ... import checks
 from ...arrays import MOST_POINTS
 from . import binary, text
-from .records import CameraRecord, ImageRecord
+from .records import CameraRecord, ImageRecord, too_many_points
 
 _FIRST = ("sparse", "sparse_", "colmap", "colmap_sparse", "dense", "undistorted", "distorted")  # folders of models, in this order
 _DEPTH = 4
@@ -117,7 +117,7 @@ class Model:
             rows = itertools.islice(self._parser.points(self._path(file)), MOST_POINTS + 1)
             table = np.fromiter(rows, dtype=np.dtype((np.float64, 6)))
             if len(table) > MOST_POINTS:
-                raise ValueError(f"more than {MOST_POINTS} points")
+                raise CaptureError(too_many_points(f"more than {MOST_POINTS}", MOST_POINTS))
         good = (np.abs(table) < 1e12).all(1)
         if not good.all():
             row = int(good.argmin())

@@ -39,3 +39,11 @@ class ImageRecord:
 
 def refusal(model: str) -> str:
     return f"model {model[:40]} is not supported ({', '.join(LAYOUT)} are); undistort the images with colmap image_undistorter first"
+
+
+def too_many_points(count: str, most: int) -> str:
+    """What follows the file's name. count: how many points it has."""
+    return (
+        f"it has {count} points, and at most {most} are read; thin them out, or remove the file, and the points are triangulated from the "
+        "pictures"
+    )
