@@ -55,9 +55,21 @@ def results() -> str:
         cells = [cell if any(map(str.isdigit, cell)) else SAYS_NOTHING for cell in cells]
         fitted = number(metric(row, held_out(row)[0], "psnr_affine"), 2)
         lines.append([titled(name), f"{size}, {ROWS[name].views}", *cells, fitted, trained(row, ", fitted "), minutes(row)])
-    stale = [name for name, row in found.items() if row["stale"]]
-    told = "all" if len(stale) == len(found) else ", ".join(stale) or "none"
-    return f"{table(heads, lines)}\n\nRows of an older version: {told}."
+    return f"{table(heads, lines)}\n\n{origin(found)}"
+
+
+def origin(rows: dict[str, dict[str, Any]]) -> str:
+    """Sentences that say of which commit and machine ``rows`` are, and which of them are of older code."""
+    runs = [run for row in rows.values() for run in row["runs"]]
+    places = {(run["commit"], run["machine"]["processor"], run["machine"].get("cores")) for run in runs}
+    stale = [name for name, row in rows.items() if row["stale"]]
+    if len(places) == 1:
+        (commit, processor, cores), last = places.pop(), max(run["machine"].get("date", "") for run in runs)
+        changed = sorted({stage for name in stale for stage in rows[name]["stale"].split(", ")})
+        since = f" The code of {', '.join(changed)} has changed since." if changed else ""
+        return f"All rows are of commit {commit} ({last}; {processor}, {cores} cores).{since}"
+    told = "all" if len(stale) == len(rows) else ", ".join(stale) or "none"
+    return f"Rows of an older version: {told}."
 
 
 def whole_runs() -> str:

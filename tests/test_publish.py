@@ -35,7 +35,7 @@ def publish(rows, monkeypatch):
         return run(seed, seconds=module.takes)
 
     monkeypatch.setattr(module, "measure", measure)
-    monkeypatch.setattr(module, "machine", lambda: {"processor": "P"})
+    monkeypatch.setattr(module, "machine", lambda: {"processor": "P", "commit": "abc"})
     monkeypatch.setattr(module.psutil, "cpu_percent", lambda seconds: module.busy)
     module.busy, module.takes = 0.0, 60.0
     return module
@@ -52,7 +52,7 @@ def run(seed: int, seconds: float = 60.0, lpips: float | None = 0.1, **changed) 
 
 def fill(publish, more=(), busy=False, names=("sample",)):
     """The seeds that are measured."""
-    publish.fill(list(names), argparse.Namespace(scenes=Path("scenes"), workspace=Path("work"), busy=busy), list(more))
+    publish.fill(list(names), argparse.Namespace(scenes=Path("scenes"), workspace=Path("work"), busy=busy, seeds=3), list(more))
     measured, publish.measured = publish.measured, []
     return [seed for _, seed in measured] if len(names) == 1 else measured
 
@@ -89,6 +89,27 @@ def test_a_row_of_other_code_or_another_machine_begins_anew(publish, rows, chang
     assert fill(publish, more=["--set", "evaluate.lpips_weights=FILE"]) == [0, 1, 2]
 
 
+FIRST = {"frames": "1" * 64, "seeds": "2" * 64}
+OLD = CODE | {"frames": "0" * 16}
+
+
+@pytest.mark.parametrize(
+    ("now", "changed", "measured"),
+    [
+        (FIRST, {"code": OLD, "contents": FIRST}, []),
+        (FIRST | {"seeds": "3" * 64}, {"code": OLD, "contents": FIRST}, [0, 1, 2]),
+        (FIRST, {"code": OLD}, [0, 1, 2]),
+        (FIRST, {"code": OLD | {"coarse": "0" * 16}, "contents": FIRST}, [0, 1, 2]),
+    ],
+    ids=["same bits", "other bits", "bits not kept", "training changed too"],
+)
+def test_code_before_training_that_makes_the_same_bits_leaves_a_row_as_it_is(publish, rows, monkeypatch, now, changed, measured):
+    monkeypatch.setattr(publish, "contents", lambda *of: now)
+    row = {"capture": "cube", "options": [], "device": "cpu", "stale": "frames", "runs": [run(seed, **changed) for seed in range(3)]}
+    rows.keep("sample", row)
+    assert fill(publish) == measured and rows.stale("sample", rows.kept("sample")) is None
+
+
 def test_busy_cores_are_said_and_refused(publish):
     publish.busy = 60.0
     with pytest.raises(SystemExit, match=r"other programs use \d+\.\d cores; .*--busy"):
@@ -111,3 +132,14 @@ def test_tables_show_means_and_spreads(rows, publish):
     assert cells[:5] == ["test, 64x64", "2", "31.00", "2.00", "0.9000"] and cells[-1] == "abc (stale)"
     assert "1,000 + 8" in cells and "20.0" in cells and "1.5" in cells
     assert tables.number(None, 2) == "-" and rows.mean({"runs": [run(0), run(1, megabytes=None)]}, lambda r: r["megabytes"]) is None
+
+
+def test_rows_of_one_commit_say_so_and_what_has_changed_since(rows, publish):
+    origin = sys.modules["quality_tables"].origin
+    of = {"commit": "abc", "machine": {"processor": "P", "cores": 2, "date": "2026-11-30"}}
+    found = {name: {"stale": None, "runs": [run(0, **of)]} for name in ("one", "two")}
+    assert origin(found) == "All rows are of commit abc (2026-11-30; P, 2 cores)."
+    found["two"]["stale"] = "frames, coarse"
+    assert origin(found).endswith("2 cores). The code of coarse, frames has changed since.")
+    found["two"]["runs"] = [run(0, **(of | {"commit": "old"}))]
+    assert origin(found) == "Rows of an older version: two."
