@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import posixpath
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from . import checks
-from .listing.numbers import places
+from .listing.numbers import places, two_numbers
 from .reading import Shot
 
 
@@ -62,6 +63,25 @@ def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -
         "order of their names; for a rig of cameras name the frames of one time alike"
     )
     return Rig(note=note, others=others)
+
+
+def cameras_in_names(shots: Sequence[Shot]) -> bool:
+    """Whether the names of pictures in one folder hold two numbers (`cam0_0001.png`), of which one is the camera, because all pictures with
+    the same one have one pose. Then `Shot.camera` and `Shot.time` are set."""
+    files = [shot.file or shot.name for shot in shots]
+    columns = two_numbers(files) if len(folders_of(files)) == 1 else None
+    for camera, time in () if columns is None else (columns, columns[::-1]):
+        for shot, number in zip(shots, camera, strict=True):
+            shot.camera = number
+        if max(Counter(camera).values()) > 1 and all_fixed(shots):
+            numbers = sorted(set(time))
+            place = dict(zip(numbers, places([f"{number}.png" for number in numbers])[0], strict=True))
+            for shot, number in zip(shots, time, strict=True):
+                shot.time = float(place[number])
+            return True
+    for shot in shots if columns is not None else ():
+        shot.camera = 0
+    return False
 
 
 def all_fixed(shots: Sequence[Shot]) -> bool:

@@ -75,6 +75,26 @@ def test_folders_of_frames_without_times_are_the_cameras_of_a_rig(tmp_path):
     np.testing.assert_allclose(capture.time, [0, 1 / 3, 2 / 3, 1] * 3)
 
 
+@pytest.mark.parametrize("name", ["cam{c}_{i:04d}.png", "frame_{i:05d}_{c}.png"])
+@pytest.mark.parametrize("layout", ["transforms", "colmap"])
+def test_fixed_cameras_in_one_folder_are_told_by_their_names_and_poses(tmp_path, layout, name):
+    there = [(c, i, name.format(c=c, i=i)) for c in range(3) for i in range(5) if (c, i) != (1, 2)]
+    if layout == "colmap":
+        colmap(tmp_path, [file for *_, file in there], [float(c) for c, *_ in there])
+    else:
+        transforms(tmp_path, [{"file_path": f"images/{file}", "transform_matrix": at(c)} for c, _, file in there])
+    capture = recognise(tmp_path)
+    assert (capture.facts["cameras"], capture.facts["times"], capture.facts["fixed_cameras"]) == (3, 5, True)
+    where = {file: (c, i) for c, i, file in there}
+    for file, camera, time in zip(capture.names, capture.camera, capture.time, strict=True):
+        assert (camera, time) == (where[Path(file).name][0], pytest.approx(where[Path(file).name][1] / 4))
+
+
+def test_two_numbers_of_one_moving_camera_are_no_rig(tmp_path):
+    names = [f"take{c}_{i}.png" for c in range(2) for i in range(4)]
+    assert recognise(colmap(tmp_path, names, [0.1 * k for k in range(8)])).facts["cameras"] == 1
+
+
 def test_folders_of_splits_are_no_cameras(tmp_path):
     frames = [
         {"file_path": f"{split}/r_{i}.png", "transform_matrix": at(c + 0.1 * i)}

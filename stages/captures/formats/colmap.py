@@ -16,11 +16,11 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..keep_masks import add_masks
-from ..listing.clock import follow_numbers
+from ..listing.numbers import follow_numbers
 from ..posed.finding import find_pictures
 from ..posed.stated import states_layout
 from ..reading import DEFAULT_FPS, Options, Reading, Shot
-from ..rigs import Rig, all_fixed, cameras_of, folders_of
+from ..rigs import Rig, all_fixed, cameras_in_names, cameras_of, folders_of
 from . import n3v
 from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places, told_twice
 
@@ -61,7 +61,8 @@ def read(root: Path, options: Options) -> Reading:
         shots.append(_shot(root, images[i], found.paths[i], size, cameras, files))
         shots[-1].camera, shots[-1].time = checks.natural_key(camera), float(time)
         shots[-1].seconds = time / (options.fps or DEFAULT_FPS) if rig.gaps else None
-    skipped = follow_numbers(shots, options.fps) if rig.places is None and not options.static else ()
+    named = rig.places is None and not options.static and cameras_in_names(shots)
+    skipped = () if rig.places or named or options.static else follow_numbers(shots, options.fps)
     masked = add_masks(root, shots, model.pictures)
     copies = _copies(root, model.pictures)
     notes = (
@@ -74,7 +75,13 @@ def read(root: Path, options: Options) -> Reading:
         *copies[0],
         *_told(root, model, rig, paths, where),
     )
-    layout = "a static scene" if options.static else f"{len({s.camera for s in shots})} cameras" if rig.places else "one camera over time"
+    layout = (
+        "a static scene"
+        if options.static
+        else f"{len({s.camera for s in shots})} cameras"
+        if rig.places or named
+        else "one camera over time"
+    )
     has_points = (root / files["points3D"]).is_file()
     return Reading(
         why=f"a COLMAP model in {where}, {layout}",
@@ -84,7 +91,7 @@ def read(root: Path, options: Options) -> Reading:
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
         fixed_cameras=all_fixed(shots),
-        untimed=not rig.places,
+        untimed=not rig.places and not named,
         notes=notes,
         spoken_for=(*copies[1], *(file for file in others)),
     )

@@ -12,11 +12,11 @@ import numpy as np
 
 from ....pipeline import CaptureError, counted
 from .. import checks, keep_masks
-from ..listing.clock import follow_numbers
+from ..listing.numbers import follow_numbers
 from ..ply_points import read_points
 from ..posed.timestamps import timestamps
 from ..reading import DEFAULT_FPS, SPLITS, TRAIN, Options, Reading, Shot
-from ..rigs import Rig, cameras_of
+from ..rigs import Rig, cameras_in_names, cameras_of
 from . import transforms
 from .cameras_of_times import fixed_cameras, moving_cameras
 from .frame_files import cloud_of, depth_of, lost_depth, mask_of
@@ -107,6 +107,8 @@ def _set_times(root: Path, shots: Sequence[Shot], times: Sequence[float] | None,
     files = [shot.file or "" for shot in shots]
     folders = {posixpath.basename(posixpath.dirname(file)).lower() for file in files}
     rig = Rig() if folders & _SPLIT_FOLDERS else cameras_of(root, files)
+    if rig.places is None and cameras_in_names(shots):
+        return ()
     if rig.places is None:
         return (*([rig.note] if rig.note else []), *follow_numbers(shots, options.fps or _fps(data)))
     for shot, (camera, time) in zip(shots, rig.places, strict=True):

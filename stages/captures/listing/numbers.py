@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
 
+from ..reading import DEFAULT_FPS, Shot
 from .names import decimal_of
 
 _LEAST_THERE = 0.5  # of the numbers from the first to the last; of more gaps it is not known whether they are pictures that are missing
@@ -49,6 +50,28 @@ def grid(names: Sequence[str]) -> tuple[int, int] | None:
         return None
     first, second = (len(set(column)) for column in columns)
     return (first, second) if len(set(zip(*columns, strict=True))) == len(names) == first * second else None
+
+
+def two_numbers(names: Sequence[str]) -> list[list[int]] | None:
+    """The two numbers in which `names` differ, each [len(names)], if no pair of them occurs twice and at least half of the combinations of
+    their values are there; None otherwise."""
+    columns = None if decimal_of(names) is not None else _columns(names)
+    if columns is None or len(columns) != 2 or len(set(zip(*columns, strict=True))) < len(names):
+        return None
+    first, second = (len(set(column)) for column in columns)
+    return columns if len(names) >= _LEAST_THERE * first * second else None
+
+
+def follow_numbers(shots: Sequence[Shot], fps: float | None) -> tuple[str, ...]:
+    """Sets `Shot.time` of ``shots`` of one camera, in order, by the numbers in the names of their files, and `Shot.seconds` where some are
+    missing: structure from motion drops frames. fps: of the numbers; `DEFAULT_FPS` if None. Returns a line for people where numbers are
+    missing or say nothing."""
+    clock, told = places([shot.file or shot.name for shot in shots])
+    for shot, at in zip(shots, clock, strict=True):
+        shot.time = float(at)
+        if clock[-1] >= len(shots):
+            shot.seconds = at / (fps or DEFAULT_FPS)
+    return (told,) if told else ()
 
 
 def _gap(before: Fraction, after: Fraction, step: Fraction) -> str:
