@@ -7,7 +7,7 @@ from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.formats.videos import clocks
 from e4dgs.stages.captures.video.probe import probe
-from e4dgs.stages.captures.video.timecode import seconds_of, shifts
+from e4dgs.stages.captures.video.timecode import apart, seconds_of, shifts
 from factory.writers import write_mp4
 
 NTSC = 30000 / 1001
@@ -106,3 +106,43 @@ def test_codes_that_are_asked_for_and_missing_are_named(tmp_path):
     with pytest.raises(CaptureError, match=r"a\.mp4 10:00:00:00, b\.mp4 11:00:00:00.* leave frames\.sync unset"):
         recognise(tmp_path, sync="timecode")
     assert "aligned by their first frames" in recognise(tmp_path).facts["why"]
+
+
+def test_what_the_codes_of_one_recording_say():
+    codes, lengths = ["10:00:02:00", "10:00:00:00", "10:00:01:00"], [2, 2, 2]
+    assert apart(codes, [25] * 3, lengths) == (1, 0), "the first to end, and the last to begin"
+    assert apart(codes, [25] * 3, [2, 2.04, 2]) is None and shifts(codes, [25] * 3, [2, 2.04, 2]) == [0, -2, -1]
+    assert apart(["10:00:00:00", None], [25, 25], [2, 2]) is None, "nothing is known"
+
+
+def test_parts_of_one_recording_are_told_and_still_read(tmp_path):
+    coded(tmp_path / "DJI_0001.MP4", "10:00:00:00")
+    coded(tmp_path / "DJI_0002.MP4", "10:00:02:00")
+    capture = recognise(tmp_path)
+    told = "by their timecodes DJI_0002.MP4 (10:00:02:00) follows DJI_0001.MP4 (10:00:00:00), so they may be parts of one recording"
+    assert capture.facts["cameras"] == 2 and any(told in note and "-f concat" in note for note in capture.notes)
+    for meant in ({"format": "videos"}, {"sync": "frames"}):
+        assert not any("follows" in note for note in recognise(tmp_path, **meant).notes)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        *(("GX010034.MP4", "GX020034.MP4"), ("gh010034.mp4", "gh020034.mp4"), ("GL010034.mp4", "GL030034.mp4")),
+        *(("GOPR0034.MP4", "GP010034.MP4"), ("GP010034.MP4", "GP020034.MP4")),
+    ],
+)
+def test_chapters_are_no_cameras(tmp_path, first, second):
+    for k, name in enumerate((first, second)):
+        coded(tmp_path / name, f"10:00:00:0{k}", frames=8)
+    with pytest.raises(CaptureError, match=f"{first}, {second} are chapters of one recording.* -c copy all.mp4.*--format videos reads"):
+        recognise(tmp_path)
+    for meant in ({"format": "videos"}, {"sync": "frames"}):
+        assert recognise(tmp_path, **meant).facts["cameras"] == 2
+
+
+@pytest.mark.parametrize("second", ["GX010035.MP4", "GH020034.MP4", "GX010034.mov", "GX020034 b.MP4"])
+def test_names_of_other_recordings_are_cameras(tmp_path, second):
+    for name, level in (("GX010034.MP4", 0), (second, 1)):
+        coded(tmp_path / name, f"10:00:00:0{level}", frames=8)
+    assert recognise(tmp_path).facts["cameras"] == 2

@@ -21,7 +21,7 @@ from ..sound import onsets
 from ..sound.cache import onsets_of
 from ..video import timecode
 from ..video.probe import told_together
-from . import video
+from . import takes, video
 
 _POSES = "poses_bounds.npy"  # if this file exists, the capture belongs to n3v, whatever the names of the videos
 
@@ -41,10 +41,14 @@ def read(root: Path, options: Options) -> Reading:
     names = [name for name in names if name not in copied]
     if len(names) < 2:
         raise CaptureError(f"{root}: its videos are copies of one, byte for byte; pass that one: {root / names[0]}")
+    meant = options.format == "videos" or options.sync is not None  # the user has said that they are cameras
+    if not meant:
+        takes.refuse_chapters(root, names)
     headers = {}
     for name in names:
         headers[name] = video.probe(root, name)
     shifts, how, doubt = clocks(root, headers, options.sync, options.audio_cache)
+    after = () if meant else takes.follow_each_other(headers)
     local = [np.asarray(headers[name].seconds) for name in names]
     times, taken = _shared(names, local, shifts, options)
     late = max(float(np.abs(s[list(t)] + shift - times).max()) for s, t, shift in zip(local, taken, shifts, strict=True))
@@ -67,7 +71,7 @@ def read(root: Path, options: Options) -> Reading:
         fps=headers[names[0]].fps,
         videos=tuple(Video(name, n * len(times), taken[n], len(headers[name].seconds)) for n, name in enumerate(names)),
         sources=tuple(copied),
-        notes=(*told(copied, "videos"), _told(names, shifts, times, taken, headers, how, late), *doubt, *told_together(headers)),
+        notes=(*told(copied, "videos"), _told(names, shifts, times, taken, headers, how, late), *doubt, *after, *told_together(headers)),
     )
 
 

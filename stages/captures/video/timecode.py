@@ -34,11 +34,34 @@ def shifts(codes: Sequence[str | None], rates: Sequence[float | None], lengths: 
 
     codes, rates, lengths: timecode of the first frame, frames per second and seconds of each video.
     """
+    shifted = _shifted(codes, rates)
+    if shifted is None or _end(shifted, lengths)[1] <= max(shifted):
+        return None
+    return shifted
+
+
+def apart(codes: Sequence[str | None], rates: Sequence[float | None], lengths: Sequence[float]) -> tuple[int, int] | None:
+    """The numbers of two videos of which the second begins when the first has ended: the first to end and the last to begin. None unless
+    all codes are known and there are such. The arguments are those of `shifts`."""
+    shifted = _shifted(codes, rates)
+    if shifted is None:
+        return None
+    ended, end = _end(shifted, lengths)
+    begun = max(range(len(shifted)), key=shifted.__getitem__)
+    return (ended, begun) if end <= shifted[begun] else None
+
+
+def _end(shifted: Sequence[float], lengths: Sequence[float]) -> tuple[int, float]:
+    """The video that ends first, and when."""
+    ends = [shift + length for shift, length in zip(shifted, lengths, strict=True)]
+    return min(enumerate(ends), key=lambda end: end[1])
+
+
+def _shifted(codes: Sequence[str | None], rates: Sequence[float | None]) -> list[float] | None:
+    """Seconds by which each video begins after the first one; None unless all codes are known and count seconds of one length."""
     found = [seconds_of(code, rate) for code, rate in zip(codes, rates, strict=True) if code is not None and rate is not None]
     known = [one for one in found if one is not None]
     if len(known) < len(codes) or max(second for _, second in known) - min(second for _, second in known) > SAME:
         return None
     day = DAY * known[0][1]
-    shifted = [(begin - known[0][0] + day / 2) % day - day / 2 for begin, _ in known]
-    overlap = min(shift + length for shift, length in zip(shifted, lengths, strict=True)) - max(shifted)
-    return shifted if overlap > 0 else None
+    return [(begin - known[0][0] + day / 2) % day - day / 2 for begin, _ in known]
