@@ -21,7 +21,7 @@ from .listing.depth_maps import add_depth
 from .listing.kinds import kind_of
 from .listing.names import is_video
 from .listing.several import apart, several
-from .listing.unread import above, described, models_in, only_closed, unread, with_pictures
+from .listing.unread import above, described, models_in, only_closed, refuse_closed, unread, with_pictures
 from .posed.doubts import doubts
 from .reading import Options, Reading
 from .rigs import rig_without_poses
@@ -154,6 +154,7 @@ def _choose(root: Path, format: str | None) -> Format:
             raise CaptureError(f"--format {format}: unknown; the formats are {', '.join(FORMATS)}")
         return chosen
     if root.is_file():
+        refuse_closed(root)
         return "video"
     if not checks.list_folder(root):
         raise CaptureError(f"{root}: the folder is empty; pass a video, a folder of images, or a capture with poses")

@@ -2,17 +2,21 @@
 
 import shutil
 from fractions import Fraction
+from types import SimpleNamespace
 
 import av
 import cv2
 import numpy as np
 import pytest
+from av.sidedata.sidedata import Type
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.formats.video import decode
+from e4dgs.stages.captures.panorama import refuse_video
 from e4dgs.stages.captures.video.shape import Shape, axis_turn
+from PIL import Image
 from run_stage import run_frames
-from tiny_videos import encode, turn
+from tiny_videos import box, encode, turn
 
 
 def corner():
@@ -225,3 +229,72 @@ def test_y4m_is_a_video(tmp_path):
         capture = recognise(path)
         assert capture.facts["format"] == "video" and capture.facts["frames"] == 6
     assert first(file)[1].max() <= 2
+
+
+def round_about(file):
+    """Puts Google's tags of a 360-degree video behind the content of an MP4's track, which is the last one."""
+    space = "http://ns.google.com/videos/1.0/spherical/"
+    words = "".join(
+        f"<GSpherical:{name}>{value}</GSpherical:{name}>"
+        for name, value in (("Spherical", "true"), ("Stitched", "true"), ("StitchingSoftware", "x"), ("ProjectionType", "equirectangular"))
+    )
+    text = f'<?xml version="1.0"?><rdf:SphericalVideo xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:GSpherical="{space}">'
+    tags = box(b"uuid", bytes.fromhex("ffcc8263f8554a938814587a02521fdd") + f"{text}{words}</rdf:SphericalVideo>".encode())
+    data = bytearray(file.read_bytes())
+    track = data.rindex(b"trak") - 4
+    moov = data.rindex(b"moov", 0, track) - 4
+    end = track + int.from_bytes(data[track : track + 4], "big")
+    for at in (moov, track):
+        data[at : at + 4] = (int.from_bytes(data[at : at + 4], "big") + len(tags)).to_bytes(4, "big")
+    data[end:end] = tags
+    file.write_bytes(data)
+    return file
+
+
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_360_degree_video_is_no_flat_view(tmp_path, others):
+    for k in range(others):
+        encode(tmp_path / f"a{k}.mp4", [corner()] * 3)
+    round_about(encode(tmp_path / "clip.mp4", [corner()[:32]] * 3))
+    with pytest.raises(CaptureError, match=r"clip\.mp4: a 360-degree video.*reframe it.* v360=e:flat:h_fov=90:v_fov=60 flat\.mp4"):
+        recognise(tmp_path)
+
+
+@pytest.mark.parametrize(("projection", "words"), [(1, "c3x2"), (3, "a 180-degree video.*hequirect"), (5, "another projection"), (4, None)])
+def test_of_the_projections_only_the_rectilinear_one_is_read(projection, words):
+    """Spatial videos of phones state that theirs is rectilinear."""
+    frame = SimpleNamespace(side_data={Type.SPHERICAL: projection.to_bytes(4, "little") + bytes(32)})
+    if words is None:
+        refuse_video(frame, "clip.mp4")
+    else:
+        with pytest.raises(CaptureError, match=f"clip.mp4: .*{words}"):
+            refuse_video(frame, "clip.mp4")
+
+
+@pytest.mark.parametrize(
+    "words", ['<rdf:Description GPano:ProjectionType="equirectangular"/>', "<GPano:ProjectionType>equirectangular</GPano:ProjectionType>"]
+)
+def test_360_degree_pictures_are_no_flat_views(tmp_path, words):
+    """A part of a panorama, as a phone stitches it, has another shape; what was cut from one may keep its tags, too."""
+    for size, refused in (((64, 32), True), ((64, 48), False)):
+        root = tmp_path / str(refused)
+        root.mkdir()
+        for k in range(3):
+            Image.new("RGB", size, (20 * k, 0, 0)).save(root / f"{k}.jpg")
+            plain, about = (root / f"{k}.jpg").read_bytes(), f"http://ns.adobe.com/xap/1.0/\0<x:xmpmeta>{words}</x:xmpmeta>".encode()
+            (root / f"{k}.jpg").write_bytes(plain[:2] + b"\xff\xe1" + (2 + len(about)).to_bytes(2, "big") + about + plain[2:])
+        if refused:
+            with pytest.raises(CaptureError, match=r"0\.jpg: a 360-degree picture \(3 of 3 pictures are\).* v360=e:flat"):
+                recognise(root)
+        else:
+            assert recognise(root).facts["frames"] == 3
+
+
+@pytest.mark.parametrize("suffix", ["insv", "360", "BRAW"])
+def test_a_file_of_a_closed_kind_gets_the_advice_of_its_folder(tmp_path, suffix):
+    encode(tmp_path / "clip.mp4", [corner()] * 3).rename(tmp_path / f"clip.{suffix}")
+    advice = "export it as MP4" + ("" if suffix == "BRAW" else ", reframed to a flat view")
+    for path in (tmp_path, tmp_path / f"clip.{suffix}"):
+        with pytest.raises(CaptureError, match=f"{suffix.upper()} video.*: {advice}"):
+            recognise(path)
+    assert recognise(tmp_path / f"clip.{suffix}", "video").facts["frames"] == 3, "if it is asked for, it is tried"

@@ -16,6 +16,7 @@ from ..listing.numbers import grid, places
 from ..listing.several import apart, several, told
 from ..listing.twins import without_depth
 from ..listing.unread import described
+from ..panorama import refuse_pictures
 from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
 from ..reading import DEFAULT_FPS, Options, Reading, Shot
 from . import video
@@ -47,6 +48,7 @@ def read(root: Path, options: Options) -> Reading:
     video.refuse_one(str(root), taken, len(found), options)
     paths = [found[i] for i in taken]
     sizes, alpha, upright = checks.upright_headers(root, paths)  # only this format follows EXIF: poses apply to pictures as stored
+    refuse_pictures(root, paths, sizes)
     hint = read_camera_matrix(root, prefix + CAMERA_MATRIX, *sizes[0])
     if hint is not None and len(set(sizes)) > 1:
         raise CaptureError(

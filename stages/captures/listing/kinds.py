@@ -18,6 +18,7 @@ _LINEAR = _LIGHT.format("linear", "linear")
 _LOG = f"{_LIGHT.format('log or linear', 'SPACE')} (SPACE is theirs, such as linear)"
 _RAW = "develop them to JPEG or to TIFF of 16 bits"
 _MP4 = "export them as MP4"
+_FLAT = "reframed to a flat view (Insta360 Studio, GoPro Player)"
 _RAWS = (
     *(".dng", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".sr2", ".raf", ".orf", ".rw2", ".pef", ".srw", ".x3f", ".3fr", ".gpr"),
     *(".kdc", ".dcr", ".mrw", ".erf", ".iiq", ".rwl", ".mos"),
@@ -34,11 +35,14 @@ _CLOSED = {  # suffixes of pictures and videos that no layout reads: (name, what
     **{suffix: (suffix[1:].upper(), _LINEAR) for suffix in (".exr", ".hdr")},
     ".dpx": ("DPX", _LOG),
     ".cin": ("Cineon", _LOG),
-    **{suffix: (suffix[1:].upper(), _JPEG) for suffix in (".mpo", ".insp", ".thm")},
+    **{suffix: (suffix[1:].upper(), _JPEG) for suffix in (".mpo", ".thm")},
+    ".insp": ("INSP", f"export them as JPEG, {_FLAT}"),
     **{suffix: (suffix[1:].upper(), "export them as JPEG") for suffix in (".lfr", ".lfp")},
 }
 _CLOSED_VIDEOS = {
-    **{suffix: (suffix[1:].upper(), _MP4) for suffix in (".insv", ".lrv", ".360", ".braw", ".crm", ".rmvb", ".svo", ".bag", ".mcap")},
+    **{suffix: (suffix[1:].upper(), _MP4) for suffix in (".lrv", ".braw", ".crm", ".rmvb", ".svo", ".bag", ".mcap")},
+    ".insv": ("INSV", f"{_MP4}, {_FLAT}"),
+    ".360": ("360", f"{_MP4}, {_FLAT}"),
     ".r3d": ("R3D", "unpack them if they are Record3D's archives, or export them as MP4"),
 }
 ROLES = {  # words in names of files and folders that say what a picture or an array shows in place of colours

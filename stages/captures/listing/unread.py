@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from ....pipeline import CaptureError
 from .kinds import COPY, MODEL, OTHER_POSE, PICTURE, POSE, FileKind, kind_of
 from .names import is_image, natural_key
 from .sidecars import posed_sidecars
@@ -87,6 +88,13 @@ def only_closed(root: Path) -> bool:
     """Whether a folder has pictures or videos, and none of a kind that is read."""
     kinds = {kind for path in tree(root).files if (kind := kind_of(path)) is not None and kind.group in ("picture", "video")}
     return bool(kinds) and all(map(_is_closed, kinds))
+
+
+def refuse_closed(file: Path) -> None:
+    """Raises CaptureError, with the advice that its folder would get, for a video of a kind that is not read."""
+    kind = kind_of(file.name)
+    if kind is not None and kind.group == "video" and kind.advice:
+        raise CaptureError(f"{file}: a video of a kind that cannot be read ({kind.one}): {_advice(kind, [file.name])}")
 
 
 def models_in(root: Path) -> list[str]:

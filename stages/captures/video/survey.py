@@ -13,6 +13,7 @@ import numpy as np
 
 from ....pipeline import CaptureError, thread_count
 from ..listing.refusals import of_video
+from ..panorama import refuse_video
 from ..video_files import open_video
 from .alpha import alpha_told
 from .colour import Tags, colours_told, frame_tags, stream_tags
@@ -145,6 +146,7 @@ def _first(root: Path, name: str, tags: Tags, pixel: Fraction | None) -> _First:
             raise CaptureError(f"{name}: frame 0: nothing can be decoded; copy or record the video again")
         if frame.is_corrupt:
             raise CaptureError(f"{name}: frame 0: the picture is damaged; copy or record the video again")
+        refuse_video(frame, name)
         pixel = pixel or stream.codec_context.sample_aspect_ratio
         shape, colours = shape_of(frame, pixel), colours_told(frame_tags(frame, tags), name, codec_tag)
         found = _First(shape, frame.pts, pixel, colours, turn_told(frame), alpha_told(frame, stream), False, None, [frame.pts])
