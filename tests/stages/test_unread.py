@@ -10,6 +10,7 @@ from e4dgs.stages.captures.listing import tree as walking
 from e4dgs.stages.captures.listing.kinds import PICTURE, POSE, VIDEO, colour_only, kind_of
 from e4dgs.stages.captures.listing.unread import unread
 from PIL import Image
+from tiny_videos import encode, levels
 
 
 def pictures(root, names, size=(16, 12)):
@@ -66,6 +67,11 @@ CLOSED = {
     "QOI": (("a.qoi",), "the QOI picture a.qoi is not read; convert it to PNG"),
     "JXR": (("a.jxr",), "the JPEG XR picture a.jxr is not read; convert it to JPEG"),
     "INSV": (("a.insv",), "the INSV video a.insv is not read; export it as MP4"),
+    "LRV": (
+        ("GL010034.LRV",),
+        "the low-resolution copy of a video GL010034.LRV is not read; pass the video in full resolution, or rename it",
+    ),
+    "THM": (("MVI_1.THM", "MVI_2.thm"), "2 thumbnails (first MVI_1.THM) are not read"),
     "videos": (("a/b.MTS", "a/c.3gp", "a/d.mp4"), "3 videos (first a/b.MTS) are not read, because the layout is images"),
     "poses": (("sub/poses_bounds.npy",), "sub/poses_bounds.npy is not read, because the layout is images"),
     "LLFF of several views": (
@@ -345,6 +351,35 @@ def test_what_the_readers_notes_name_is_skipped(tmp_path):
         assert found == ("the point cloud a.ply is not read, because the layout is colmap",)
     model, clouds = unread(root, "colmap", read)
     assert model.startswith("the COLMAP model in sparse/1 is not read") and clouds.startswith("3 point clouds")
+
+
+CARDS = {
+    "GoPro": ("GX0100{}.MP4", "GL0100{}.LRV", "GX0100{}.THM"),
+    "GoPro before HERO6": ("GOPR00{}.MP4", "GOPR00{}.LRV", "GOPR00{}.THM"),
+    "DJI": ("DJI_00{}.MP4", "DJI_00{}.LRF", "DJI_00{}.THM"),
+    "Insta360": ("VID_20240101_1200{}_00_0{}.mp4", "LRV_20240101_1200{}_01_0{}.lrv", "VID_20240101_1200{}_00_0{}.thm"),
+}
+
+
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("camera", CARDS)
+def test_what_cameras_write_beside_clips_is_no_question(tmp_path, camera, count):
+    video, low, thumbnail = CARDS[camera]
+    for k in range(34, 34 + count):
+        encode(tmp_path / video.format(k, k), levels(4 + 4 * (k - 34)))
+        stubs(tmp_path, low.format(k, k), thumbnail.format(k, k))
+    capture = recognise(tmp_path)
+    assert (capture.facts["format"], capture.facts["cameras"]) == ("video" if count == 1 else "videos", count)
+    tiny, small = sorted(lines(tmp_path), key=lambda line: "low" in line)
+    assert tiny.endswith("not read") and "thumbnail" in tiny
+    assert small.endswith("not read; the video itself is" if count == 1 else "not read; the videos themselves are")
+
+
+def test_a_low_resolution_copy_alone_is_told_what_to_do(tmp_path):
+    root = stubs(tmp_path, "GL010034.LRV")
+    for path in (root, root / "GL010034.LRV"):
+        with pytest.raises(CaptureError, match=r"low-resolution copy.*: pass the video in full resolution, or rename it to end in \.mp4"):
+            recognise(path)
 
 
 def test_kinds_of_names():

@@ -35,16 +35,17 @@ _CLOSED = {  # suffixes of pictures and videos that no layout reads: (name, what
     **{suffix: (suffix[1:].upper(), _LINEAR) for suffix in (".exr", ".hdr")},
     ".dpx": ("DPX", _LOG),
     ".cin": ("Cineon", _LOG),
-    **{suffix: (suffix[1:].upper(), _JPEG) for suffix in (".mpo", ".thm")},
+    ".mpo": ("MPO", _JPEG),
     ".insp": ("INSP", f"export them as JPEG, {_FLAT}"),
     **{suffix: (suffix[1:].upper(), "export them as JPEG") for suffix in (".lfr", ".lfp")},
 }
 _CLOSED_VIDEOS = {
-    **{suffix: (suffix[1:].upper(), _MP4) for suffix in (".lrv", ".braw", ".crm", ".rmvb", ".svo", ".bag", ".mcap")},
+    **{suffix: (suffix[1:].upper(), _MP4) for suffix in (".braw", ".crm", ".rmvb", ".svo", ".bag", ".mcap")},
     ".insv": ("INSV", f"{_MP4}, {_FLAT}"),
     ".360": ("360", f"{_MP4}, {_FLAT}"),
     ".r3d": ("R3D", "unpack them if they are Record3D's archives, or export them as MP4"),
 }
+_LOW = (".lrv", ".lrf")  # of GoPro and Insta360, and of DJI
 ROLES = {  # words in names of files and folders that say what a picture or an array shows in place of colours
     "depth": ("depth", "depths", "depthmap", "depthmaps", "depthimage", "disp", "disparity", "disparities"),
     "mask": (
@@ -112,6 +113,13 @@ OTHER_POSE = FileKind(
     "pose",
     "export the poses as a COLMAP model or transforms.json, with the program that wrote them",
 )
+THUMBNAIL = FileKind("thumbnail", "thumbnails")  # cameras write one for each clip
+LOW = FileKind(
+    "low-resolution copy of a video",
+    "low-resolution copies of videos",
+    "video",
+    "pass the video in full resolution, or rename them to end in .mp4",
+)
 COPY = FileKind("picture in another size", "pictures in another size", "picture")
 _OTHERS = (
     ("point cloud", "point clouds", lambda name: name.endswith(_CLOUDS)),
@@ -144,6 +152,10 @@ def kind_of(path: str) -> FileKind | None:
     if suffix in _CLOSED_VIDEOS:
         format, advice = _CLOSED_VIDEOS[suffix]
         return FileKind(f"{format} video", f"{format} videos", "video", advice)
+    if suffix in _LOW:
+        return LOW
+    if suffix == ".thm":
+        return THUMBNAIL
     if is_image(name):
         return PICTURE
     if is_video(name):
@@ -155,6 +167,14 @@ def kind_of(path: str) -> FileKind | None:
     if _POSES.fullmatch(name) or (folders.split("/")[-1] in _POSE_FOLDERS and re.search(f"{_DATA}$", name)):
         return POSE
     return next((FileKind(one, many) for one, many, fits in _OTHERS if fits(name)), None)
+
+
+def clip_of(path: str) -> str:
+    """What the path of a video shares with that of its low-resolution copy: GX010034.MP4 with GL010034.LRV, DJI_0001.MP4 with
+    DJI_0001.LRF, VID_20240101_120000_00_001.mp4 with LRV_20240101_120000_01_001.lrv."""
+    folder, name = posixpath.split(posixpath.splitext(path.lower())[0])
+    name = re.sub(r"^g[hxl](?=\d{6}$)", "g", name)
+    return posixpath.join(folder, re.sub(r"^(?:vid|lrv)(_\d{8}_\d{6})_\d\d(_\d+)$", r"\1\2", name))
 
 
 def role_of(name: str) -> str | None:

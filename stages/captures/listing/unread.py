@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ....pipeline import CaptureError
-from .kinds import COPY, MODEL, OTHER_POSE, PICTURE, POSE, FileKind, kind_of
+from .kinds import COPY, LOW, MODEL, OTHER_POSE, PICTURE, POSE, THUMBNAIL, VIDEO, FileKind, clip_of, kind_of
 from .names import is_image, natural_key
 from .sidecars import posed_sidecars
 from .tree import MOST_DEEP, MOST_FILES, tree
@@ -144,6 +144,10 @@ def _line(kind: FileKind, paths: list[str], layout: str, read: set[str], models:
         twins = {posixpath.splitext(path)[0].lower() for path in read if is_image(path)}
         if all(posixpath.splitext(path)[0].lower() in twins for path in paths):
             return f"{text}; each has the name of a picture that is read"
+    if kind is THUMBNAIL:
+        return text
+    if kind is LOW and {clip_of(path) for path in paths} <= {clip_of(path) for path in read if kind_of(path) is VIDEO}:
+        return f"{text}; {'the video itself is' if len(paths) == 1 else 'the videos themselves are'}"
     if kind.advice and not (kind is OTHER_POSE and layout in (*_POSED_PICTURES, "n3v")):  # which have poses already
         return f"{text}; {_advice(kind, paths)}"
     if kind is COPY:
