@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import struct
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from e4dgs.stages.captures.sound import cache as heard
 from e4dgs.stages.captures.sound import onsets as sound
 from e4dgs.stages.captures.video.probe import probe
 from factory.writers import write_mp4
+from tiny_videos import encode, levels
 
 RATE = 16000
 
@@ -235,3 +237,47 @@ def test_what_was_heard_is_heard_again_where_a_bit_has_flipped(tmp_path, monkeyp
     hear()
     hear()
     assert times == ["a.mp4"] * 2
+
+
+def sized(file, size, frames=30, seed=0):
+    """Pictures of one grey each, at 10 frames per second."""
+    return encode(file, levels(frames, 2 + seed, size))
+
+
+@pytest.mark.parametrize(
+    "small", ["take1.mp4", "Take1_Proxy.mov", "take1-preview.mp4", "take1 lowres.mov", "take1small.mp4", "take1_copy.mkv"]
+)
+def test_of_two_files_of_one_clip_the_larger_picture_is_read(tmp_path, small):
+    sized(tmp_path / "take1.mov", (64, 48))
+    sized(tmp_path / small, (32, 24))
+    capture = recognise(tmp_path)
+    assert (capture.facts["cameras"], capture.facts["times"], capture.facts["width"]) == (1, 30, 64)
+    assert [video.file for video in capture.videos] == ["take1.mov"]
+    assert capture.notes[0].startswith(f"{small} (32x24) is left out: by its name and its frames it is the same clip as take1.mov (64x48)")
+    assert small in capture.files and not any("not read" in note for note in capture.notes)
+    with pytest.raises(CaptureError, match=rf"frames\.sync aligns several cameras; leave it unset: {small}"):
+        recognise(tmp_path, sync="frames")
+
+
+def test_small_files_of_the_clips_of_a_rig_are_no_cameras(tmp_path):
+    for k, letter in enumerate("ab"):
+        sized(tmp_path / f"{letter}_proxy.mp4", (32, 24), seed=k)
+        sized(tmp_path / f"{letter}.mp4", (64, 48), seed=k)
+    capture = recognise(tmp_path)
+    assert [video.file for video in capture.videos] == ["a.mp4", "b.mp4"] and capture.facts["width"] == 64
+    assert sum("is left out" in note for note in capture.notes) == 2
+
+
+def test_of_two_equal_sizes_the_larger_file_is_read(tmp_path):
+    sized(tmp_path / "take.mp4", (64, 48))
+    (tmp_path / "take.mov").write_bytes((tmp_path / "take.mp4").read_bytes() + struct.pack(">I4s", 5008, b"free") + bytes(5000))
+    assert [video.file for video in recognise(tmp_path).videos] == ["take.mov"]
+
+
+def test_clips_of_unlike_length_are_cameras_whatever_their_names(tmp_path):
+    for frames, cameras in ((101, 1), (102, 2)):  # 1 % of 102 frames is more than one of them, and less than two
+        root = tmp_path / str(frames)
+        root.mkdir()
+        sized(root / "take1.mov", (64, 48), 100)
+        sized(root / "take1_small.mov", (32, 24), frames)
+        assert recognise(root).facts["cameras"] == cameras

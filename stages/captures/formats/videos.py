@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,9 +45,16 @@ def read(root: Path, options: Options) -> Reading:
     meant = options.format == "videos" or options.sync is not None  # the user has said that they are cameras
     if not meant:
         takes.refuse_chapters(root, names)
-    headers = {}
-    for name in names:
-        headers[name] = video.probe(root, name)
+    probed = {name: video.probe(root, name) for name in names}
+    left_out = takes.smaller(root, probed)
+    headers = {name: header for name, header in probed.items() if name not in left_out}
+    names = list(headers)
+    twice = (*told(copied, "videos"), *takes.told(left_out, probed))
+    if len(names) < 2:  # one camera over time
+        if options.sync is not None:
+            raise CaptureError(f"{root}: frames.sync aligns several cameras; leave it unset: {'; '.join(twice)}")
+        alone = video.read(root / names[0], options)
+        return replace(alone, sources=(*alone.sources, *copied, *left_out), notes=(*twice, *alone.notes))
     shifts, how, doubt = clocks(root, headers, options.sync, options.audio_cache)
     after = () if meant else takes.follow_each_other(headers)
     local = [np.asarray(headers[name].seconds) for name in names]
@@ -70,8 +78,8 @@ def read(root: Path, options: Options) -> Reading:
         has_split=not options.static,  # times are held out for all cameras together, so each time has all of them or none
         fps=headers[names[0]].fps,
         videos=tuple(Video(name, n * len(times), taken[n], len(headers[name].seconds)) for n, name in enumerate(names)),
-        sources=tuple(copied),
-        notes=(*told(copied, "videos"), _told(names, shifts, times, taken, headers, how, late), *doubt, *after, *told_together(headers)),
+        sources=(*copied, *left_out),
+        notes=(*twice, _told(names, shifts, times, taken, headers, how, late), *doubt, *after, *told_together(headers)),
     )
 
 
