@@ -44,8 +44,6 @@ ROWS: dict[str, Row] = {
     "lego": Row("lego", WHITE, BOTH),
     "lego-fast": Row("lego", WHITE, BOTH, FAST),
     "robot": Row("robot", "robot (rendered, D-NeRF layout), white", BOTH),
-    "robot-compact": Row("robot", "robot", BOTH, COMPACT),
-    "robot-compact-gaussians": Row("robot", "robot", BOTH, WITHOUT_CONVEXES),
     "room-mono": Row("room_mono", "room_mono, views off the camera's path", TEST),
     "balloon1": Row("balloon1", "balloon1 (NVIDIA, 12 frames of one camera)", EIGHTH),
     "sceaux-static": Row("sceaux/images", "sceaux (11 photos)", EIGHTH, ("--static", "--set", "frames.max_size=708")),
