@@ -201,7 +201,10 @@ def is_scene(folder: Path) -> bool:
 
 def _absent(capture: Path, name: str | None, workspace: Path) -> str:
     if name is not None:
-        return f"the scene {name} was made from {capture}, which is not there any more; put the capture back, its pictures are needed"
+        return (
+            f"the scene {name} was made from {capture}, which is not there any more; put the capture back, its pictures are needed, "
+            f"or name the place that it was moved to, with --name {name}"
+        )
     known = sorted(claim.parent.name for claim in (workspace / "scenes").glob(f"*/{CLAIM}"))
     scenes = f"; its scenes are {', '.join(known[:20])}" if known else ""
     return f"{capture}: no such file or folder, and no scene of {workspace} has that name{scenes}"

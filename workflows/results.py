@@ -60,13 +60,24 @@ def missing(session: Session, wanted: Row, target: str | None = None) -> NoRunEr
     if not runs or options.last:
         return NoRunError(
             f"{options.capture}: the workspace {options.workspace} has no {stage} of this capture ({wanted.reason}); "
-            f"make it with: {run_command(options, target or stage)}"
+            f"make it with: {run_command(options, target or stage)}{_moved(session)}"
         )
     name, run = max(runs, key=lambda found: found[1].began)
     return NoRunError(
         f"{options.capture}: the workspace {options.workspace} has no {stage} of this capture with these options ({wanted.reason}). "
         f"The last run, of the scene {name}, had {run.words}: give the same options, or none to take that run. "
         f"To make this one: {run_command(options, target or stage)}"
+    )
+
+
+def _moved(session: Session) -> str:
+    """For a capture whose results may be those of a scene that was made before it was moved."""
+    scene = session.scene
+    if not scene.renamed or scene.gone is None:
+        return ""
+    return (
+        f". The scene {scene.own_name} was made from {scene.gone}, which is not there any more; if this is that capture, moved, "
+        f"add --name {scene.own_name}"
     )
 
 

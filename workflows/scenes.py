@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -32,14 +33,33 @@ class Scene:
     capture: Path
     chosen: bool = False  # the name is the value of --name
     renamed: bool = False  # the capture's own name was taken by another capture
+    gone: str | None = None  # the path of a capture that is not there any more, which has this name, or the own name of a renamed one
     made: tuple[int, int] | None = None  # identifies the file with which this process claimed a free folder
 
     @property
     def records(self) -> Records:
         return Records(self.folder / "records")
 
+    @property
+    def own_name(self) -> str:
+        """The capture's own name, also if the scene was renamed."""
+        return self.name.rpartition("-")[0] if self.renamed else self.name
+
+    @property
+    def notice(self) -> str | None:
+        """What people should know of its name before anything runs; None for nothing."""
+        if not self.renamed:
+            return None
+        if self.gone is None:
+            return f"another capture already has this name in the workspace, so the scene is called {self.name} (see --name)"
+        return (
+            f"a capture that is not there any more, {self.gone}, has this name, so the scene is called {self.name}; "
+            f"--name {self.own_name} takes it over"
+        )
+
     def claim(self) -> Scene:
-        """Takes the folder for the capture, and returns the scene. It has another name if another capture has meanwhile taken this one.
+        """Takes the folder for the capture, and returns the scene. It has another name if another capture has meanwhile taken this one. A
+        chosen name is also taken over from a capture that is not there any more.
 
         Raises NameTakenError if the name was chosen, or the other name is taken, too; StageError if the file system has no locks.
         """
@@ -51,12 +71,12 @@ class Scene:
                 if not (self.chosen or self.renamed):
                     scene = _other_name(self)
                     owner = _owner(scene.folder)
-                if owner not in (None, str(self.capture)):
+                if owner not in (None, str(self.capture)) and not (self.chosen and _is_gone(owner)):
                     raise NameTakenError(scene.name, str(owner), scene.folder)
             # Of a claim without results, too: the other process that has made it then sees that it is shared, and leaves it there.
             file = scene.folder / CLAIM
             write_json(file, {"path": str(self.capture)})
-            return replace(scene, made=_identity(file) if owner is None else None)
+            return replace(scene, made=_identity(file) if owner is None else None, gone=None if scene.chosen else scene.gone)
 
     def restore(self) -> None:
         """Writes the claim again if somebody has removed the folder since."""
@@ -83,17 +103,19 @@ def check_name(name: str, where: str) -> None:
 def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None) -> Scene:
     """The scene of a capture (an absolute path): ``chosen``, or the capture's own name made safe for a folder.
 
-    Two captures of the same name never share a folder. Without ``chosen``, the second is called ``name-<6 hex digits of its path>``.
-    Raises NameTakenError if ``chosen`` belongs to another capture, SettingsError if it is no name. Until `Scene.claim`, another process
-    may still take the folder.
+    Two captures of the same name never share a folder. Without ``chosen``, the second is called ``name-<6 hex digits of its path>``, also
+    if the first is not there: its disk may come back. Raises NameTakenError if ``chosen`` belongs to another capture that is there,
+    SettingsError if it is no name. Until `Scene.claim`, another process may still take the folder.
     """
     scenes = workspace / "scenes"
     if chosen is not None:
         check_name(chosen, f"--name {chosen}")
         owner = _owner(scenes / chosen)
-        if owner not in (None, str(capture)):
+        if owner in (None, str(capture)):
+            return Scene(chosen, scenes / chosen, capture, chosen=True)
+        if not _is_gone(owner):
             raise NameTakenError(chosen, str(owner), scenes / chosen)
-        return Scene(chosen, scenes / chosen, capture, chosen=True)
+        return Scene(chosen, scenes / chosen, capture, chosen=True, gone=owner)
     name = safe_name(own_name) or "capture"
     scene = Scene(name, scenes / name, capture)
     return scene if _owner(scene.folder) in (None, str(capture)) else _other_name(scene)
@@ -101,7 +123,8 @@ def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None
 
 def _other_name(scene: Scene) -> Scene:
     name = f"{scene.name}-{digest_bytes(str(scene.capture).encode())[:6]}"
-    return replace(scene, name=name, folder=scene.folder.parent / name, renamed=True)
+    owner = _owner(scene.folder)
+    return replace(scene, name=name, folder=scene.folder.parent / name, renamed=True, gone=owner if _is_gone(owner) else None)
 
 
 def _owner(folder: Path) -> str | None:
@@ -110,6 +133,19 @@ def _owner(folder: Path) -> str | None:
     if isinstance(claim, dict) and isinstance(claim.get("path"), str):
         return claim["path"]
     return "an unknown capture" if _content(folder) else None
+
+
+def _is_gone(owner: str | None) -> bool:
+    """Whether there is nothing at the path of a capture any more, because it was moved, renamed or removed."""
+    if owner is None or not os.path.isabs(owner):
+        return False
+    try:
+        os.stat(owner)
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except OSError:  # no permission, or a disk that does not answer
+        pass
+    return False
 
 
 def _only_claimed(folder: Path) -> bool:

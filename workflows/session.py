@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, settings_by_name, split_assignment
+from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, say, settings_by_name, split_assignment
 from .machine.devices import resolve_device
 from .machine.writable import writing_to
 from .presets import PRESETS
@@ -49,8 +49,12 @@ class Session:
     notes: tuple[str, ...] = ()
 
     def claim(self) -> None:
-        """Takes the scene's folder for the capture (`Scene.claim`). If another capture has just taken it, the scene changes its name."""
+        """Takes the scene's folder for the capture (`Scene.claim`), and says so if it was that of a capture that is not there any more. If
+        another capture has just taken it, the scene changes its name."""
+        earlier = self.scene.gone if self.scene.chosen else None
         self.scene = self.scene.claim()
+        if earlier is not None:
+            say(f"the capture of scene {self.scene.name} was {earlier}, which is gone; it is now {self.scene.capture}")
         self.job.records = self.scene.records
 
     def resolve(self, values: Mapping[str, Any]) -> None:

@@ -27,8 +27,8 @@ def show_capture(console: Console, session: Session) -> None:
     seen = f"{counted(facts.cameras, 'camera')}, {counted(facts.times, 'time')}"
     say(f"  {counted(facts.frames, 'frame')} {facts.width}x{facts.height}, {seen}; {splits}", to=console)
     say(*(f"  {one_line(note)}" for note in session.notes), to=console)
-    if session.scene.renamed:
-        console.print(f"  another capture already has this name in the workspace, so the scene is called {session.scene.name} (see --name)")
+    if session.scene.notice is not None:
+        say(f"  {session.scene.notice}", to=console)
 
 
 def show_plan(console: Console, rows: Sequence[Row], session: Session) -> None:

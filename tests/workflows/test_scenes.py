@@ -40,12 +40,39 @@ def test_two_captures_that_start_at_the_same_time_share_no_folder(tmp_path):
 
 
 def test_a_chosen_name_that_was_just_taken_is_refused(tmp_path):
-    first, second = both(tmp_path, "mine")
+    there = tmp_path / "one" / "clip"
+    there.mkdir(parents=True)
+    first, second = (find_scene(tmp_path, path, "clip", "mine") for path in (there, Path("/two/clip")))
     first.claim()
     for refused in (second.claim, lambda: find_scene(tmp_path, second.capture, "clip", "mine")):
-        with pytest.raises(NameTakenError, match=r"--name mine: this scene belongs to /one/clip; choose another --name"):
+        with pytest.raises(NameTakenError, match=rf"--name mine: this scene belongs to {there}; choose another --name"):
             refused()
-    assert owner(first) == "/one/clip"
+    assert owner(first) == str(there)
+
+
+def test_a_capture_that_was_moved_takes_its_scene_over_by_name_only(cli, capture):
+    """Without --name the disk of the first capture may only be unmounted."""
+    workspace = Path("e4dgs-workspace")
+    assert cli("run", "all", capture, "--set", "frames.max_size=16").code == 0
+    moved = capture.rename(capture.parent.parent / capture.name)
+    said = cli("plan", moved).out
+    assert f"a capture that is not there any more, {capture}, has this name" in said and "--name my-scene takes it over" in said
+    assert "another capture" not in said
+    missing = cli("report", moved)
+    assert missing.code == 2 and f"The scene my-scene was made from {capture}, which is not there any more" in missing.err
+    assert "moved, add --name my-scene" in missing.err
+    assert "name the place that it was moved to, with --name my-scene" in cli("report", "my-scene").err
+    result = cli("report", moved, "--name", "my-scene")  # as would a run
+    assert result.code == 0 and f"the capture of scene my-scene was {capture}, which is gone; it is now {moved}" in result.out
+    assert read_json(workspace / "scenes" / "my-scene" / "capture.json") == {"path": str(moved)}
+    again = cli("run", "all", moved)
+    assert "which is gone" not in again.out and [path.name for path in (workspace / "scenes").iterdir()] == ["my-scene"]
+
+
+def test_a_capture_whose_place_cannot_be_looked_at_is_not_gone(tmp_path):
+    find_scene(tmp_path, Path("/" + "x" * 300), "clip", "mine").claim()  # no file system has such a name: it is an error of another kind
+    with pytest.raises(NameTakenError):
+        find_scene(tmp_path, Path("/two/clip"), "clip", "mine")
 
 
 def test_processes_that_race_for_a_hundred_names_share_none(tmp_path):

@@ -81,6 +81,8 @@ def _run_part(
         return True
     try:
         session = open_session(entry.options(ledger.workspace))
+        if (owner := session.scene.gone) is not None:  # a batch names scenes by itself, and that capture's disk may come back
+            raise NameTakenError(session.scene.name, owner, session.scene.folder)
         job = session.job
         stages = _stages(job, part)
     except PipelineError as error:
