@@ -6,6 +6,7 @@ from pathlib import Path
 
 from e4dgs.workflows.batch.ledger import Ledger, Progress
 from e4dgs.workflows.batch.listing import Entry, entries_of
+from e4dgs.workflows.batch.work import run_part
 from e4dgs.workflows.cli import main
 from e4dgs.workflows.scenes import check_name, find_scene
 
@@ -80,3 +81,23 @@ def test_names_with_brackets_are_printed_as_they_are(dnerf_capture, tmp_path, ca
     ledger.write(dnerf_capture.root.name, Progress("failed", "frames", r"a\[/b]: cannot be read [/c]"))
     assert main(["status", "--workspace", str(work)]) == 0
     assert r"a\[/b]: cannot be read [/c]" in " ".join(capsys.readouterr().out.split())
+
+
+def test_two_batches_of_one_name_do_not_run_at_the_same_time(tmp_path, capsys):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    words = ["--workspace", str(tmp_path / "work"), "--emit", "slurm"]
+    assert main(["batch", str(tmp_path / "a"), *words]) == 0
+    ledger = Ledger(tmp_path / "work", "batch")
+    with ledger.alone():
+        assert main(["batch", str(tmp_path / "b"), *words]) == 2
+        assert "--name batch: this batch is running in another process; give this one another --name" in capsys.readouterr().err
+        assert main(["batch", str(tmp_path / "b"), *words, "--name", "other"]) == 0
+    assert [entry.name for entry in ledger.entries()] == ["a"], "the running batch keeps its list"
+    assert main(["batch", str(tmp_path / "a"), str(tmp_path / "b"), *words]) == 0
+    assert "replaces" not in capsys.readouterr().out, "it is the same batch with another scene"
+    assert main(["batch", str(tmp_path / "b"), *words]) == 0
+    (tmp_path / "c").mkdir()
+    assert main(["batch", str(tmp_path / "c"), *words]) == 0
+    assert "--name batch: this replaces the earlier batch of 1 scene (b)" in capsys.readouterr().out
+    assert run_part(str(tmp_path / "work"), "batch", "b", "before") is False, "a job of the earlier list has nothing to do"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
 
-from ...pipeline import SettingsError, say
+from ...pipeline import SettingsError, counted, say
 from ...stages.captures import usual
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace, of_captures, typed_name
@@ -21,6 +22,10 @@ from .ledger import Ledger, Progress, batches
 from .listing import Entry, entries_of
 from .work import is_current
 
+if TYPE_CHECKING:
+    from .sites.pools import Cluster
+
+MOST_NAMES = 5  # of a replaced batch that are printed
 MOST_COMMANDS = 10  # printed at the end; the table has all of them
 # What replaces options that apply only to this machine: in a cluster's file, and in job scripts.
 INSTEAD = {
@@ -48,8 +53,6 @@ def batch(
     options: Options,
 ) -> None:
     """Run many captures; an unfinished batch is continued. Exit code 1 if a scene failed."""
-    from .summary import rows_of, write_summary
-
     check_name(name, f"--name {name}")
     settings, workspace, device = tuple(_split(text) for text in options.assignments), options.workspace.resolve(), options.device
     _refuse_what_is_local({"--jobs": jobs, "--memory": memory, "--retries": retries}, executor, emit)
@@ -71,30 +74,51 @@ def batch(
     entries = entries_of(captures, common)
     words = ["e4dgs", "batch", *captures, *words_of_batch(name, executor, jobs, memory, retries, stage_timeout, emit)]
     words += words_of(options)[1:]
-    with writing_to(workspace):
-        ledger = Ledger.create(workspace, name, entries, shlex.join(words))
-    for entry in entries:
-        if ledger.progress(entry.name).state == "done" and not is_current(ledger, entry):
-            ledger.write(entry.name, Progress())
-    if emit is not None:
-        from .sites.pools import Cluster
-        from .sites.slurm import USUAL, USUAL_GPU
-        from .sites.slurm import emit as write_scripts
+    with ExitStack() as held:
+        with writing_to(workspace):
+            held.enter_context(Ledger(workspace, name).alone())
+            if before := Ledger(workspace, name).replaced_by(entries):
+                shown = ", ".join(before[:MOST_NAMES]) + (", ..." if len(before) > MOST_NAMES else "")
+                say(
+                    f"--name {name}: this replaces the earlier batch of {counted(len(before), 'scene')} ({shown}), "
+                    "whose results stay in the workspace; another --name keeps both"
+                )
+            ledger = Ledger.create(workspace, name, entries, shlex.join(words))
+        for entry in entries:
+            if ledger.progress(entry.name).state == "done" and not is_current(ledger, entry):
+                ledger.write(entry.name, Progress())
+        if emit is not None:
+            _write_scripts(ledger, cluster, device, stage_timeout)
+            return
+        runner: Any
+        if cluster is None:
+            from .local import Local, usual_jobs
+            from .share import usual_memory_gb
 
-        cluster = cluster or Cluster.model_validate({"cpu": USUAL, "gpu": None if device == "cpu" else USUAL_GPU})
-        say(f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh")
-        return
-    runner: Any
-    if cluster is None:
-        from .local import Local, usual_jobs
-        from .share import usual_memory_gb
+            tries = 1 if retries is None else retries
+            runner = Local(ledger, min(jobs or usual_jobs(), len(entries)), memory or usual_memory_gb(), tries, stage_timeout)
+        else:
+            from .sites.cluster import Parsl
 
-        tries = 1 if retries is None else retries
-        runner = Local(ledger, min(jobs or usual_jobs(), len(entries)), memory or usual_memory_gb(), tries, stage_timeout)
-    else:
-        from .sites.cluster import Parsl
+            runner = Parsl(ledger, cluster, stage_timeout)
+        _run(ledger, runner)
 
-        runner = Parsl(ledger, cluster, stage_timeout)
+
+def _write_scripts(ledger: Ledger, cluster: Cluster | None, device: str, stage_timeout: float | None) -> None:
+    """Writes job scripts for Slurm, and says how to submit them."""
+    from .sites.pools import Cluster
+    from .sites.slurm import USUAL, USUAL_GPU
+    from .sites.slurm import emit as write_scripts
+
+    cluster = cluster or Cluster.model_validate({"cpu": USUAL, "gpu": None if device == "cpu" else USUAL_GPU})
+    say(f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh")
+
+
+def _run(ledger: Ledger, runner: Any) -> None:
+    """Runs what is not done and shows it. Raises Exit with code 1 if a scene failed."""
+    from .summary import rows_of, write_summary
+
+    entries = ledger.entries()
     try:
         futures = runner.start([entry for entry in entries if ledger.progress(entry.name).state != "done"])
         watch(ledger, Console(), lambda: all(future.done() for future in futures))

@@ -55,6 +55,19 @@ class Ledger:
                 ledger.write(entry.name, Progress())
         return ledger
 
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Only one process at a time makes and runs the batch. Raises SettingsError if another one does: it would lose its list."""
+        with locked(self.folder / "batch.lock", wait=False) as ours:
+            if not ours:
+                raise SettingsError(f"--name {self.name}: this batch is running in another process; give this one another --name")
+            yield
+
+    def replaced_by(self, entries: Sequence[Entry]) -> list[str]:
+        """Names of the scenes of an earlier batch of this name that has nothing in common with these ``entries``; [] if there is none."""
+        before = [entry.name for entry in self.entries()] if self.exists() else []
+        return [] if {entry.name for entry in entries} & set(before) else before
+
     def exists(self) -> bool:
         return (self.folder / "batch.json").is_file()
 

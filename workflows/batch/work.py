@@ -75,7 +75,9 @@ def _run_part(
     stopped: Callable[[], bool],
     take: Take,
 ) -> bool:
-    entry = next(entry for entry in ledger.entries() if entry.name == scene)
+    entry = next((entry for entry in ledger.entries() if entry.name == scene), None)
+    if entry is None:  # since this was submitted, the batch has been given another list, in which nobody looks for the scene's state
+        return False
     progress = ledger.progress(scene)
     if progress.state == "done":
         return True
