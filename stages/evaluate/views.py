@@ -42,7 +42,7 @@ def choose_views(frames: FrameSet, splits: Sequence[str], most: int | None = Non
         views["train"] = spread(posed, TRAIN_VIEWS)
         notes.append(
             f"no {' or '.join(splits)} views: {len(views['train'])} of {len(posed)} training views are measured, "
-            "which says nothing about new views; hold some out with --set frames.holdout=8"
+            f"which says nothing about new views; hold some out with --set frames.holdout={min(8, max(2, len(frames.split)))}"
         )
     return views, notes
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ...pipeline import Applies, Context, Given, Resources, Stage
+from ...pipeline import Applies, Context, Given, Resources, Stage, counted
 from ...vision.flow.method import choice, size_within
 from ..facts import Facts
 from ..shared.frameset import FrameSet
@@ -33,14 +33,16 @@ class Flow(Stage):
         known = Facts.of(facts)
         if known.static:
             return Applies.no("static capture: nothing moves between its frames")
+        if known.pairs == 0 and known.cameras < known.frames:
+            return Applies.no("no two training frames of one camera to compare")
         if known.pairs == 0:
             return Applies.no("every image has its own camera: no two frames of one camera to compare")
         means = choice(settings.method, settings.weights)[1]
         if known.pairs > settings.max_pairs:
             return Applies.yes(
-                f"{settings.max_pairs} of {known.pairs} pairs of neighbouring frames of one camera (flow.max_pairs); {means}"
+                f"{settings.max_pairs} of {counted(known.pairs, 'pair')} of neighbouring frames of one camera (flow.max_pairs); {means}"
             )
-        return Applies.yes(f"{known.pairs} pairs of neighbouring frames of one camera; {means}")
+        return Applies.yes(f"{counted(known.pairs, 'pair')} of neighbouring frames of one camera; {means}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FlowSettings) -> float | None:
         """Seconds per pair and megapixel on two cores, for both directions. DIS medium and the small network are fitted to runs of the

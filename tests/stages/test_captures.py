@@ -121,6 +121,14 @@ def test_pairs_never_touch_held_out_frames(nerfstudio_capture):
     np.testing.assert_array_equal(recognise(nerfstudio_capture.root, holdout=0).next, [1, 2, 3, 4, 5, 6, 7, 8, 9, -1])
 
 
+@pytest.mark.parametrize(("count", "holdout", "test"), [(2, 8, 0), (3, 8, 0), (7, 8, 0), (8, 8, 1), (9, 8, 2), (3, 2, 2)])
+def test_few_pictures_are_all_trained_on(tmp_path, count, holdout, test):
+    """The first frame would be held out of any number, of two pictures half."""
+    for k in range(count):
+        Image.new("RGB", (8, 8), (k, 0, 0)).save(tmp_path / f"{k}.png")
+    assert recognise(tmp_path, holdout=holdout).facts["splits"] == {"train": count - test, "val": 0, "test": test}
+
+
 def test_nerfstudio_filenames_of_splits_win_over_the_hold_out(nerfstudio_capture, tmp_path):
     root = shutil.copytree(nerfstudio_capture.root, tmp_path / "split")
 

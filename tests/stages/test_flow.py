@@ -50,7 +50,9 @@ def pattern(height: int = 96, width: int = 128, seed: int = 0) -> np.ndarray:
 @pytest.mark.parametrize(
     ("facts", "needed", "words"),
     [
-        ({**BASE, "pairs": 0}, False, "every image has its own camera: no two frames of one camera to compare"),
+        ({**BASE, "pairs": 0, "cameras": 11}, False, "every image has its own camera: no two frames of one camera to compare"),
+        ({**BASE, "pairs": 0, "cameras": 1, "frames": 2}, False, "no two training frames of one camera to compare"),
+        ({**BASE, "pairs": 1}, True, "1 pair of neighbouring frames"),
         ({**BASE, "static": True}, False, "static capture"),
         (BASE, True, "10 pairs"),
         ({**BASE, "pairs": 9000}, True, "400 of 9000 pairs"),

@@ -57,9 +57,10 @@ def timeline(given: Path, reading: Reading, options: Options) -> Timeline:
 
 
 def _splits(given: Path, reading: Reading, options: Options) -> np.ndarray:
-    """[F] uint8: the splits of the files, or every N-th frame held out. Raises CaptureError if no frame is for training."""
+    """[F] uint8: the splits of the files, or every N-th frame held out; none of fewer than N, as the first would be more than an N-th of
+    them, and half of two. Raises CaptureError if no frame is for training."""
     split = np.array([s.split for s in reading.shots], dtype=np.uint8)
-    if not reading.has_split and options.holdout and options.every_time == 1:
+    if not reading.has_split and 0 < options.holdout <= len(split) and options.every_time == 1:
         split[np.arange(len(split)) % options.holdout == 0] = TEST
     if not (split == TRAIN).any():
         own = "use frames.holdout=0, or 2 and more"
