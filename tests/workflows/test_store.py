@@ -135,3 +135,17 @@ def test_ages_are_short():
     now = datetime(2026, 11, 28, 12, 0, 0, tzinfo=UTC)
     made = ("2026-11-28T11:59:20Z", "2026-11-28T11:48:00Z", "2026-11-28T07:00:00Z", "2026-11-25T12:00:00Z", "2027-01-01T00:00:00Z", "")
     assert [age(one, now) for one in made] == ["40 s", "12 min", "5 h", "3 d", "0 s", ""]
+
+
+def test_a_mistyped_workspace_or_stage_is_no_empty_store(cli, capture):
+    Path("empty").mkdir()
+    for command in (["list"], ["list", "--json"], ["verify"], ["gc"], ["gc", "--dry-run"]):
+        for workspace in ("typo", "empty"):
+            result = cli("store", *command, "--workspace", workspace)
+            assert result.code == 2 and f"--workspace {workspace}: there is no workspace here" in result.err, command
+    assert not Path("typo").exists() and not list(Path("empty").iterdir())
+    cli("run", "frames", capture)
+    result = cli("store", "list", "corse")
+    assert result.code == 2 and "there is no stage 'corse'; give one of: frames, " in result.err
+    assert "0 results" in cli("store", "list", "coarse").out, "a stage that has not run yet"
+    assert cli("store", "verify").code == cli("store", "gc").code == 0

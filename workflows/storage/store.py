@@ -17,10 +17,11 @@ from ...pipeline.records import differences
 from ..last_run import scene_of
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
+from ..reconstruction import reconstruction
 from ..results import in_workspace
 from ..session import DEFAULT_WORKSPACE
 from .amounts import age, megabytes
-from .stored import Stored, every, find, users
+from .stored import Stored, every, find, opened, users
 from .table import fitted
 
 SHORT = 12  # digits of a key or digest that are shown in tables
@@ -37,11 +38,14 @@ def list_(
     debug: Debug = False,
 ) -> None:
     """List every result in the store: stage, key, size, date, time and memory it took, the scenes whose last run used it, and pins."""
+    store = opened(workspace)
     found = [stored for stored in every(workspace.resolve()) if stage in (None, stored.stage)]
+    if stage is not None and not found and stage not in (names := reconstruction().stages):
+        raise SettingsError(f"there is no stage {stage!r}; give one of: {', '.join(names)}")
     if as_json:
         print(json.dumps([_facts(stored) for stored in found], indent=2, ensure_ascii=False))
         return
-    pinned = Pins(Store(workspace.resolve() / "store")).results()
+    pinned = Pins(store).results()
     rows = []
     for stored in found:
         facts = _facts(stored)

@@ -16,6 +16,14 @@ from ..results import in_workspace
 SHORTEST = 4  # digits of a key that are enough if they identify a single result
 
 
+def opened(workspace: Path) -> Store:
+    """The store of a workspace as it was typed. Raises SettingsError if there is none: an empty answer would hide a mistyped path."""
+    store = Store(workspace.resolve() / "store")
+    if not store.root.is_dir():
+        raise SettingsError(f"--workspace {workspace}: there is no workspace here (no store/ in it); give the folder that a run wrote to")
+    return store
+
+
 @dataclass(frozen=True)
 class Stored:
     """One result. path: its folder. scenes: the scenes whose last run used it."""

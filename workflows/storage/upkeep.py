@@ -13,7 +13,7 @@ from ..options import Debug, Workspace
 from ..session import DEFAULT_WORKSPACE
 from .amounts import bytes_of, megabytes, seconds_of
 from .caches import kept, remove
-from .stored import users
+from .stored import opened, users
 
 
 def gc(
@@ -30,17 +30,15 @@ def gc(
 ) -> None:
     """Remove results that no scene's last run used and no pin keeps, what archives were unpacked to and what was heard of videos (made
     again when it is missed), and what dead runs and damage have left. Runs may go on meanwhile."""
+    # A run that came to nothing may have left caches alone.
+    store = Store(workspace.resolve() / "store") if kept(workspace.resolve()) else opened(workspace)
     workspace = workspace.resolve()
-    store = Store(workspace / "store")
     most = bytes_of("--keep-bytes", keep_bytes) if keep_bytes is not None else None
     age = seconds_of("--older-than", older_than) if older_than is not None else None
 
     def live() -> dict[tuple[str, str], tuple[str, ...]]:
         return users(workspace)
 
-    if not workspace.is_dir():
-        say("0 results, 0.0 MB")
-        return
     with writing_to(workspace):
         spared = _caches(workspace, store, most, age, dry_run)
     for_results = None if most is None else max(0, most - spared)

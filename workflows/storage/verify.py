@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import typer
 
-from ...pipeline import Store, say
+from ...pipeline import say
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
 from ..session import DEFAULT_WORKSPACE
+from .stored import opened
 
 
 def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
     """Digest every result in the store again; a damaged one is moved aside, to be made again by the next run. Exit code 1 for any."""
-    store = Store(workspace.resolve() / "store")
+    store = opened(workspace)
     results = store.verify()
     damaged = [result for result in results if result[2]]
     for stage, key, problem in damaged:
