@@ -81,6 +81,13 @@ def test_the_results_of_the_last_run_are_found_after_an_edit_of_the_code(ran, tm
     monkeypatch.setattr(plan, "key_of", lambda parts: key_of({**parts, "more": "of the code"}))
     words = [str(capture), "--workspace", str(workspace), "--frames", "1", "--size", "16"]
     assert main(["render", *words, "--out", str(tmp_path / "out")]) == 0
+    page, numbers = scene(workspace) / "report.html", scene(workspace) / "metrics.json"
+    before = json.loads(numbers.read_text())
+    page.unlink()
+    assert main(["report", str(capture), "--workspace", str(workspace)]) == 0
+    after = json.loads(numbers.read_text())
+    assert page.is_file() and all(after[name] == before[name] for name in ("splits", "train_seconds")), "of the same results"
+    assert main(["report", str(capture), "--workspace", str(workspace), *QUICK]) == 2
     assert main(["render", *words, *QUICK, "--out", str(tmp_path / "other")]) == 2  # these options ask for results of this code
 
 
