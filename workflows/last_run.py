@@ -19,7 +19,7 @@ from ..pipeline.files import canonical_json, digest_bytes, read_json, write_json
 from ..pipeline.names import composed
 from .reconstruction import reconstruction
 from .scenes import CLAIM
-from .session import Options, Session
+from .session import DEFAULT_WORKSPACE, Options, Session
 
 FILE = "runs.json"
 KEPT = 50  # runs of a scene that the file lists at most
@@ -183,14 +183,26 @@ def options_of_last_run(given: Given, stage: str, done: bool = True) -> Options:
 
 def scene_or_capture(path: Path, workspace: Path, name: str | None = None) -> tuple[Path, str | None, Path]:
     """The capture, the scene's name (None: the capture's own) and the workspace that ``path`` means: the folder of a scene, a capture, or
-    the name of a scene in ``workspace``. ``name`` is the value of --name."""
+    the name of a scene in ``workspace``. ``name`` is the value of --name. Raises SettingsError for a scene's folder in another workspace
+    than ``workspace``, unless that is the default."""
     path = path.expanduser()
-    folder = path if is_scene(path) else workspace / "scenes" / composed(str(path)) if not path.exists() and len(path.parts) == 1 else None
-    if folder is None or not is_scene(folder):
+    folder = path if is_scene(path) else _named(path, workspace)
+    if folder is None:
         return path, name, workspace
-    folder = folder.resolve()
+    places = {Path(os.path.abspath(folder)).parent.parent.resolve(), (own := folder.resolve().parent.parent)}
+    if workspace != DEFAULT_WORKSPACE and workspace.resolve() not in places:
+        raise SettingsError(f"--workspace {workspace}: {path} is a scene of {own}; give --workspace {own}, or the capture itself")
     claim = read_json(folder / CLAIM)
-    return Path(claim["path"]), name or folder.name, folder.parent.parent  # type: ignore[index]
+    return Path(claim["path"]), name or folder.resolve().name, own  # type: ignore[index]
+
+
+def _named(path: Path, workspace: Path) -> Path | None:
+    """The folder of the scene with the name ``path`` in ``workspace``. None if there is none, or ``path`` may be a capture: an empty folder
+    is none, and hides no scene."""
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        return None
+    folder = workspace / "scenes" / composed(str(path))
+    return folder if len(path.parts) == 1 and is_scene(folder) else None
 
 
 def is_scene(folder: Path) -> bool:

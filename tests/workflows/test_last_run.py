@@ -39,6 +39,26 @@ def test_a_scenes_folder_needs_no_workspace(ran, tmp_path):
     assert len(list(out.iterdir())) == 2
 
 
+def test_a_scenes_folder_and_another_workspace_contradict_each_other(ran, tmp_path, capsys):
+    _, workspace = ran
+    for command in (["plan"], ["report"], ["store", "pin"]):
+        assert main([*command, str(scene(workspace)), "--workspace", str(tmp_path / "elsewhere")]) == 2
+        said = capsys.readouterr().err
+        assert f"is a scene of {workspace}; give --workspace {workspace}, or the capture itself" in said, said
+    assert not (tmp_path / "elsewhere").exists()
+    assert main(["plan", str(scene(workspace)), "--workspace", str(workspace)]) == 0
+
+
+def test_an_empty_folder_does_not_hide_a_scene_of_its_name(ran, tmp_path, monkeypatch, capsys):
+    _, workspace = ran
+    monkeypatch.chdir(tmp_path)
+    name = scene(workspace).name
+    (tmp_path / name).mkdir()
+    assert main(["report", name, "--workspace", str(workspace)]) == 0, capsys.readouterr().err
+    (tmp_path / name / "notes.txt").touch()
+    assert main(["report", name, "--workspace", str(workspace)]) == 2, "it may be meant as a capture"
+
+
 def test_report_why_show_and_pin_know_it_too(ran, capsys):
     capture, workspace = ran
     place = ["--workspace", str(workspace)]
