@@ -2,11 +2,13 @@
 
 import builtins
 import re
+from types import SimpleNamespace
 
 import pytest
 import tiny_run
 from e4dgs.scene.formats.freetime import read_freetime
 from e4dgs.workflows.cli import main
+from e4dgs.workflows.exports.trained import Trained
 
 
 @pytest.fixture(autouse=True)
@@ -74,3 +76,10 @@ def test_without_the_package_one_line_says_how_to_get_it(words, tmp_path, capsys
     monkeypatch.setattr(builtins, "__import__", lacking)
     assert main(["export", "4dgs", *words, "--out", str(tmp_path / "a.4dgs")]) == 2
     assert "pip install 'e4dgs[fourdgs]'" in " ".join(capsys.readouterr().err.split()) and not list(tmp_path.iterdir())
+
+
+def test_more_times_than_a_scene_has_that_stands_still_are_told(capsys):
+    still = Trained(None, SimpleNamespace(motion=SimpleNamespace(static=True)), None)
+    assert still.moments(30) == 1
+    assert capsys.readouterr().out == "nothing moves in this scene, so --times 30 makes one file\n"
+    assert still.moments(1) == still.moments(None) == 1 and capsys.readouterr().out == ""

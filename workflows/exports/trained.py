@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...pipeline import SettingsError, StageError
+from ...pipeline import SettingsError, StageError, say
 from ...stages.facts import Facts
 from ..machine.writable import writing_to
 from ..results import results, trained_stage
@@ -46,7 +46,10 @@ class Trained:
         return 1 if self.model.motion.static else Facts.of(self.session.job.capture.facts).times
 
     def moments(self, asked: int | None) -> int:
-        """How many times are exported: ``asked``, or all of the capture's but at most `MOST_TIMES`; one if nothing moves."""
+        """How many times are exported: ``asked``, or all of the capture's but at most `MOST_TIMES`; one if nothing moves, and a line says
+        so if more were asked for."""
+        if self.model.motion.static and asked is not None and asked > 1:
+            say(f"nothing moves in this scene, so --times {asked} makes one file")
         return 1 if self.model.motion.static else asked or min(self.times, MOST_TIMES)
 
     def chosen(self, count: int | None, time: float | None) -> list[float]:
