@@ -46,7 +46,7 @@ class Progress:
             self._marks.popleft()
         if self._console is None or now - self._start < _QUIET_SECONDS:
             return
-        if self._console.is_terminal:
+        if self._console.is_terminal and not self._console.is_dumb_terminal:
             self._show_bar(note)
         elif now - self._last >= self._line_seconds:
             self._last = now

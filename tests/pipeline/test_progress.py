@@ -104,3 +104,11 @@ def test_a_narrow_terminal_keeps_the_percentage_and_the_time_left(monkeypatch, w
     assert len(line) <= width and " 75% " in line and f" {total * 3 // 4}/{total} " in line, line
     assert any(part.count(":") == 2 for part in line.split()), "the time left"
     assert "…" in line, "what is cut has a mark"
+
+
+def test_a_dumb_terminal_gets_lines():
+    out = io.StringIO()
+    with Progress(2, "coarse", Console(file=out, force_terminal=True, width=100, _environ={"TERM": "dumb"}), line_seconds=0.0) as bar:
+        bar._start -= 10.0
+        bar.advance()
+    assert out.getvalue().startswith("  coarse: 1/2 (50 %)") and "\x1b" not in out.getvalue()

@@ -72,6 +72,15 @@ def test_a_terminal_sees_the_table_with_what_runs_first(tmp_path, monkeypatch):
     assert "60 %, 1 min 50 s left" in out.getvalue()
 
 
+def test_a_dumb_terminal_gets_lines_in_place_of_a_table_that_it_cannot_draw(tmp_path, monkeypatch):
+    monkeypatch.setattr(board, "EVERY", 0.0)
+    ledger = Ledger.create(tmp_path, "night", [Entry("a", "/capture")])
+    ledger.write("a", Progress("failed", "coarse", "no memory"))
+    out = io.StringIO()
+    board.watch(ledger, Console(file=out, width=120, force_terminal=True, _environ={"TERM": "dumb"}), lambda: True)
+    assert out.getvalue() == "a: failed coarse: no memory\n"
+
+
 def test_a_scene_whose_worker_is_gone_is_shown_as_lost(tmp_path):
     ledger = Ledger.create(tmp_path, "night", [Entry("a", "/capture")])
     with ledger.at_work("a", lambda: False) as ours:

@@ -100,7 +100,7 @@ def watch(ledger: Ledger, console: Console, ended: Callable[[], bool]) -> None:
     """Shows the batch until ``ended``."""
     states = States(ledger)
     pace = Pace(states)
-    if console.is_terminal:
+    if console.is_terminal and not console.is_dumb_terminal:  # in a dumb one a live table shows nothing until its end
         with Live(table(ledger, states, pace), console=console, refresh_per_second=2) as live:
             while not ended():
                 time.sleep(EVERY)
