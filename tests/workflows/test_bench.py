@@ -74,6 +74,7 @@ def test_list_names_every_row_and_measures_nothing(cli):
     [
         (("raster", "--rows", "garden,nope"), "--rows nope: there is no such row; rows: garden, convexes"),
         (("raster", "--garden", "nope.npz"), "--garden nope.npz: there is no such file"),
+        (("raster", "--out", "."), "--out .: this is a folder; name a file, for example raster.json"),
         (("field", "--rows", ","), "--rows names no row; rows: field, loss, adam"),
         (("step", "--capture", "nope", "--rows", "split"), "nope"),
         (("cuda", "--rows", "agreement"), "there is nothing to measure on"),

@@ -20,6 +20,8 @@ def run(
     """The measured rows by name, as in the JSON file. ``names``: comma-separated; None for all. ``only_list``: measure nothing."""
     if bench.garden is not None and not bench.garden.is_file():
         raise SettingsError(f"--garden {bench.garden}: there is no such file")
+    if out is not None and out.is_dir():
+        raise SettingsError(f"--out {out}: this is a folder; name a file, for example {out / f'{suite}.json'}")
     if only_list:
         say(*(f"{row.name:12} {row.what}" for row in rows), to=console)
         return {}
