@@ -1,8 +1,11 @@
 """Folders of pictures: straight alpha in PNG, premultiplied linear light and depth in EXR, all there or not there."""
 
+import os
+
 import numpy as np
 import OpenEXR
 import pytest
+from e4dgs.pipeline import StageError
 from e4dgs.vision.images.picture_folder import NOTHING, PictureFolder, linear
 from PIL import Image
 
@@ -50,3 +53,39 @@ def test_a_folder_that_breaks_off_leaves_nothing(tmp_path):
         pictures.add(np.zeros((2, 2, 3), np.float32), np.zeros((2, 2), np.float32), np.zeros((2, 2), np.float32))
         raise RuntimeError
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["link", "dangling link", "current folder", "mount point", "killed"])
+def test_a_folder_that_no_other_can_replace_gets_the_pictures(tmp_path, monkeypatch, kind):
+    real, out = tmp_path / "real", tmp_path / "out"
+    if kind != "dangling link":
+        real.mkdir()
+    if kind == "current folder":
+        monkeypatch.chdir(real)
+        out = type(out)(".")
+    elif kind in ("mount point", "killed"):  # of a mount, neither the folder nor its parent may be changed
+        monkeypatch.setattr("pathlib.Path.rmdir", lambda self: os.rmdir(self) if self.parent == real else pytest.fail(f"rmdir {self}"))
+        out = real
+        if kind == "killed":
+            (real / ".render-left").mkdir()
+    else:
+        out.symlink_to(real)
+    before = real.stat().st_ino if real.exists() else None
+    written(out)
+    assert sorted(file.name for file in real.iterdir() if file.name != ".render-left") == ["0000.exr", "0000.png", "masks"]
+    assert before in (None, real.stat().st_ino) and out.is_symlink() == kind.endswith("link")
+    assert {one.name for one in tmp_path.iterdir()} <= {"real", "out"}
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_pictures_that_cannot_go_to_their_folder_are_kept_and_named(tmp_path, exists):
+    out, blank = tmp_path / "out", np.zeros((2, 2), np.float32)
+    if exists:
+        out.mkdir()
+    with pytest.raises(StageError, match="cannot go there") as raised, PictureFolder(out) as pictures:
+        pictures.add(np.zeros((2, 2, 3), np.float32), blank, blank)
+        out.mkdir(exist_ok=True)
+        (out / "0000.png").write_text("of another render")
+    (part,) = [one for one in (out if exists else tmp_path).iterdir() if one.name.startswith(".render-")]
+    assert f"they are in {part}, move them" in str(raised.value) and [one.name for one in part.iterdir()] == ["0000.png"]
+    assert (out / "0000.png").read_text() == "of another render"

@@ -155,6 +155,15 @@ def test_a_file_in_place_of_a_folder_is_refused(finished, capsys, tmp_path):
     assert f"{tmp_path / 'file'} is a file, not a folder; give another --out" in " ".join(capsys.readouterr().err.split())
 
 
+def test_a_folder_whose_parent_cannot_be_written_gets_its_pictures(finished, tmp_path, monkeypatch):
+    real, out = os.access, tmp_path / "out"
+    out.mkdir()
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path) != tmp_path and real(path, mode))
+    assert render(finished, "--frames", 1, "--size", 16, "--out", out) == 0
+    assert [one.name for one in out.iterdir()] == ["0000.png"]
+    assert render(finished, "--frames", 1, "--size", 16, "--out", tmp_path / "other") == 1
+
+
 @pytest.mark.parametrize("name", ["scene.mp4", "pictures"])
 def test_a_place_that_cannot_be_written_is_named_with_what_to_do(finished, capsys, tmp_path, monkeypatch, name):
     def refuse(self, *words, **more):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import os
 import shutil
@@ -11,12 +12,13 @@ from types import TracebackType
 
 import numpy as np
 
-from ...pipeline import SettingsError
+from ...pipeline import SettingsError, StageError
 
 NOTHING = (
     1e10  # depth where there is nothing, as Blender writes it: farther than anything, so that a merge by depth takes the other picture
 )
 MASKS = "masks"
+PART = ".render-"  # begins the name of the folder that holds pictures until all are there
 DEPTH_MEANS = (
     "Z: distance along the optical axis (planar depth) in units of the capture's world, mean of what a pixel blends; 1e10 where alpha is 0"
 )
@@ -28,21 +30,26 @@ class PictureFolder:
 
     alpha: the PNG files are RGBA with straight alpha, and ``masks/0000.png`` is alpha alone. depth: ``0000.exr`` beside each, float32
     channel Z: world units along the optical axis, `NOTHING` where nothing is; with ``alpha`` also R, G, B, A: half floats, linear light,
-    premultiplied, as compositing programs expect of EXR. The header says what the channels mean. The folder appears only when complete.
+    premultiplied, as compositing programs expect of EXR. The header says what the channels mean. The pictures appear only when complete.
 
-    Raises SettingsError if the folder already holds something, or the package for EXR is missing.
+    Raises SettingsError if the folder already holds something, or the package for EXR is missing; at the end StageError, with the place
+    where the pictures are, if they cannot go to the folder.
     """
 
     def __init__(self, folder: Path, depth: bool = False, alpha: bool = False) -> None:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if folder.exists() and (not folder.is_dir() or _holds_something(folder)):
             raise SettingsError(f"{folder}: already holds something; name a folder that does not exist or is empty")
         if depth and importlib.util.find_spec("OpenEXR") is None:
             raise SettingsError("--depth needs the package OpenEXR; install it with: pip install 'e4dgs[exr]'")
         self.folder, self.depth, self.alpha, self._count = folder, depth, alpha, 0
 
     def __enter__(self) -> PictureFolder:
-        self.folder.parent.mkdir(parents=True, exist_ok=True)
-        self._part = Path(tempfile.mkdtemp(prefix=f".{self.folder.name}-", dir=self.folder.parent))
+        whole = self.folder.resolve()  # a link may lead to a folder that is not there
+        # No other folder can take the place of a mount or of the current folder, and the parent may be one that cannot be written.
+        self._inside = whole.exists()
+        place = whole if self._inside else whole.parent
+        place.mkdir(parents=True, exist_ok=True)
+        self._part = Path(tempfile.mkdtemp(prefix=PART, dir=place))
         if self.alpha:
             (self._part / MASKS).mkdir()
         return self
@@ -78,10 +85,29 @@ class PictureFolder:
         if kind is not None:
             shutil.rmtree(self._part, ignore_errors=True)
             return
-        self._part.chmod(0o755)
-        if self.folder.exists():
-            self.folder.rmdir()
-        os.replace(self._part, self.folder)
+        try:
+            self._part.chmod(0o755)
+            self._publish()
+        except OSError as error:
+            raise StageError(
+                f"render: {self.folder}: the pictures cannot go there ({error.strerror}); they are in {self._part}, move them from there"
+            ) from error
+
+    def _publish(self) -> None:
+        whole = self.folder.resolve()
+        if not self._inside:
+            os.replace(self._part, whole)
+            return
+        if _holds_something(whole):
+            raise OSError(errno.ENOTEMPTY, os.strerror(errno.ENOTEMPTY), str(whole))
+        for file in sorted(self._part.iterdir()):
+            os.replace(file, whole / file.name)
+        self._part.rmdir()
+
+
+def _holds_something(folder: Path) -> bool:
+    """Whether a folder holds more than the parts of renders that are at work or were killed."""
+    return any(not one.name.startswith(PART) for one in folder.iterdir())
 
 
 def linear(color: np.ndarray) -> np.ndarray:

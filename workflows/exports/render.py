@@ -93,7 +93,9 @@ def _checked(out: Path, alpha: bool, depth: bool) -> bool:
         raise SettingsError(f"--out {out}: the file must end in .mp4; without an ending it is a folder for PNG files")
     if video and out.is_dir():
         raise SettingsError(f"--out {out}: this is a folder; name a file that ends in .mp4, or a folder without that ending")
-    place = next(folder for folder in out.absolute().parents if folder.exists())
+    whole = out.absolute()
+    places = whole.parents if video else (whole, *whole.parents)  # a folder that is there is written into, and its parent is not
+    place = next(place for place in places if place.exists())
     if not place.is_dir():
         raise SettingsError(f"--out {out}: {place} is a file, not a folder; give another --out")
     if not os.access(place, os.W_OK | os.X_OK):  # the library that writes videos would say that there is no such file
