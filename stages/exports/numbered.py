@@ -38,9 +38,15 @@ def strangers(folder: Path, ending: str) -> list[str]:
         return []
     last = re.escape("." + ending.rpartition(".")[2])
     name = re.compile(rf".*[0-9](\.[a-z]+)?{last}", re.IGNORECASE)
-    rows = indexed(folder).get(ending, {}).get("files", [])
-    own = {row.get("file") for row in rows if isinstance(row, dict)} if isinstance(rows, list) else set()
+    own = {file.name for file in listed(folder, ending)}
     return sorted(one.name for one in folder.iterdir() if name.fullmatch(one.name) and one.name not in own and one.is_file())
+
+
+def listed(folder: Path, ending: str) -> list[Path]:
+    """The files of a sequence that the index in ``folder`` lists and that are there, in the folder itself."""
+    rows = indexed(folder).get(ending, {}).get("files", [])
+    own = [row.get("file") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    return [file for file in folder.iterdir() if file.name in own and file.is_file()]
 
 
 def indexed(folder: Path) -> dict[str, dict[str, Any]]:

@@ -15,6 +15,16 @@ def test_a_stem_names_both_frames():
     ]
 
 
+def test_names_sort_as_the_pairs_do():
+    names = [f"cam0.mp4#{k}" for k in range(12)]
+    pairs = [(k, k + 1) for k in range(11)]
+    stems = pair_stems(names, pairs)
+    assert stems == sorted(stems) and stems[2] == "02-cam0.mp4-2_cam0.mp4-3", "frame 10 comes after frame 9"
+    for suffix in SUFFIXES:
+        named = [stem + suffix for stem in pair_stems(["a", "a-b", "c"], [(0, 2), (1, 2)])]
+        assert named == sorted(named)
+
+
 @pytest.mark.parametrize(
     "name", ["../../etc/passwd", "/abs", "..", ".", ".hidden", "-rf", "a\0b", "a\nb", "c:\\x", "ß/é", "x" * 500, "", "$(rm) `x`;*?"]
 )

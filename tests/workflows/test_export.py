@@ -1,5 +1,6 @@
 """`e4dgs export flow`: the files of a real flow artifact, and what is said where there is none."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -61,7 +62,8 @@ def test_every_pair_becomes_flo_and_png(n3v_capture, workspace, exported, artifa
     _, stems = stems_of(workspace, artifact, n3v_capture.root)
     suffixes = (".flo", ".png", "_backward.flo", "_backward.png", "_edges.png", "_moving.png")
     assert len(stems) == 3
-    assert {path.name for path in exported.iterdir()} == {"wheel.png", *(stem + suffix for stem in stems for suffix in suffixes)}
+    made = {path.name for path in exported.iterdir()} - {"sequence.json"}
+    assert made == {"wheel.png", *(stem + suffix for stem in stems for suffix in suffixes)}
     for direction, suffix in (("forward", ""), ("backward", "_backward")):
         for stem, flow in zip(stems, artifact.read(direction).astype(np.float32)):
             assert np.array_equal(read_flo(exported / f"{stem}{suffix}.flo"), flow)
@@ -86,10 +88,42 @@ def test_by_default_files_go_to_the_scene_and_the_scale_is_said(n3v_capture, wor
     text = capsys.readouterr().out
     folder = workspace / "scenes" / "other" / "export" / "flow"
     assert f"flow: {folder}" in text and "3 pairs, 19 files; full colour is" in text
-    assert len(list(folder.iterdir())) == 19
+    assert len(list(folder.iterdir())) == 20, "and their index"
     first = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert cli.main([*command, "--name", "other"]) == 0, "the scene is known to belong to this capture"
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
+
+
+def test_the_index_lists_frames_and_times_of_each_file(n3v_capture, workspace, exported, artifact):
+    frames, stems = stems_of(workspace, artifact, n3v_capture.root)
+    index = json.loads((exported / "sequence.json").read_text())
+    assert set(index) == {".flo", ".png"} and index[".flo"]["format"] == "flow"
+    files = [row["file"] for ending in index for row in index[ending]["files"]]
+    assert {*files, "wheel.png", "sequence.json"} == {path.name for path in exported.iterdir()} and len(files) == len(set(files))
+    for k, (first, second) in enumerate(artifact.read("pair")):
+        row = index[".flo"]["files"][2 * k]
+        assert (row["file"], row["frames"]) == (f"{stems[k]}.flo", [frames.names[first], frames.names[second]])
+        assert row["time"] == [frames.time[first], frames.time[second]]
+        assert row["seconds"] == pytest.approx([frames.seconds[k] - frames.seconds.min() for k in (first, second)])
+
+
+def test_an_export_takes_the_place_of_an_earlier_one_and_of_nothing_else(n3v_capture, workspace, exported, tmp_path, capsys):
+    out = shutil.copytree(exported, tmp_path / "out")
+    index = json.loads((out / "sequence.json").read_text())
+    for ending, name in ((".flo", "frame_1.flo"), (".png", "frame_1_edges.png"), (".flo", "../kept.flo")):
+        index[ending]["files"].append({"file": name})
+        (out / name).write_text("earlier")
+    index[".ply"] = {"format": "mesh", "files": []}
+    (out / "sequence.json").write_text(json.dumps(index))
+    (out / "notes.txt").write_text("mine")
+    command = ["export", "flow", str(n3v_capture.root), "--workspace", str(workspace), "--out", str(out), *SETTINGS]
+    assert cli.main([*command, "--largest", "2.5"]) == 0
+    assert {path.name for path in out.iterdir()} == {"notes.txt", *(path.name for path in exported.iterdir())}
+    assert (tmp_path / "kept.flo").read_text() == "earlier" and ".ply" in json.loads((out / "sequence.json").read_text())
+    (out / "photo_7.png").write_text("mine")
+    capsys.readouterr()
+    assert cli.main(command) == 2
+    assert "it has photo_7.png, which no earlier export has listed there" in capsys.readouterr().err
 
 
 def test_flow_that_is_not_there_names_the_command_that_makes_it(n3v_capture, tmp_path, capsys):

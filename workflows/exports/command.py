@@ -76,6 +76,8 @@ def flow(
     if largest is not None and not 0 < largest < float("inf"):
         raise SettingsError(f"--largest {largest}: give a positive number of px")
     check_folder(out)
+    for ending in (".flo", ".png"):
+        check_strangers(out, ending)
     session = open_session(options)
     found = results(session, "flow")
     artifact, frames = found["flow"], found["frames"]
