@@ -17,6 +17,7 @@ from typing import Any
 from ..pipeline import ArtifactError, CaptureError, SettingsError
 from ..pipeline.files import canonical_json, digest_bytes, read_json, write_json
 from ..pipeline.names import composed
+from .machine.devices import resolve_device
 from .reconstruction import reconstruction
 from .scenes import CLAIM
 from .session import DEFAULT_WORKSPACE, Options, Session
@@ -176,9 +177,18 @@ def options_of_last_run(given: Given, stage: str, done: bool = True) -> Options:
     assert scene is not None
     if run.words != "no options":
         print(f"{scene.name}: the last run had {run.words}", file=sys.stderr)
-    device = run.device if given.device == "auto" else given.device
+    device = _device(run) if given.device == "auto" else given.device
     own = (capture, workspace, run.preset, run.set, device, scene.name, run.static, run.format)
     return Options(*own, resolved=run.resolved, last=True)
+
+
+def _device(run: Run) -> str:
+    """The device of the run if this machine has it: its results may be looked at on any other."""
+    if run.device != "auto":
+        with suppress(SettingsError):
+            resolve_device(run.device)
+            return run.device
+    return "auto"
 
 
 def scene_or_capture(path: Path, workspace: Path, name: str | None = None) -> tuple[Path, str | None, Path]:

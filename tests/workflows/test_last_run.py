@@ -1,6 +1,7 @@
 """Commands that look at results know the last run: nobody repeats its options, and nobody is told to train again for a forgotten one."""
 
 import json
+import shutil
 
 import pytest
 from e4dgs.workflows.cli import main
@@ -57,6 +58,18 @@ def test_an_empty_folder_does_not_hide_a_scene_of_its_name(ran, tmp_path, monkey
     assert main(["report", name, "--workspace", str(workspace)]) == 0, capsys.readouterr().err
     (tmp_path / name / "notes.txt").touch()
     assert main(["report", name, "--workspace", str(workspace)]) == 2, "it may be meant as a capture"
+
+
+def test_a_scene_that_was_trained_on_another_device_is_exported_and_rendered_on_this_machine(ran, tmp_path, monkeypatch, capsys):
+    capture, workspace = ran
+    copy = shutil.copytree(workspace, tmp_path / "ws")
+    file = scene(copy) / "runs.json"
+    file.write_text(file.read_text().replace('"cpu"', '"cuda"'))
+    monkeypatch.setattr("e4dgs.workflows.machine.devices.why_not_cuda", lambda: "the NVIDIA driver finds no device")
+    for words in (["render", "--frames", "1", "--size", "16"], ["export", "ply", "--times", "1"]):
+        assert main([*words, str(capture), "--workspace", str(copy), "--out", str(tmp_path / words[0])]) == 0, capsys.readouterr().err
+    words = ["render", str(capture), "--workspace", str(copy), "--out", str(tmp_path / "asked"), "--device", "cuda"]
+    assert main(words) == 2 and "--device cuda" in capsys.readouterr().err, "a device that is asked for is not exchanged"
 
 
 def test_report_why_show_and_pin_know_it_too(ran, capsys):
