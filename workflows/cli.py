@@ -23,6 +23,7 @@ from .exports.render import render
 from .machine.interrupts import end_cleanly_when_terminated, ended, said_when_interrupted
 from .machine.orphan import end_with_starter
 from .machine.spinning import spin_briefly
+from .machine.terminal import write_any_letter
 from .machine.writable import writing_to
 from .options import Debug, Workspace, of_capture, of_last_run
 from .report import report
@@ -166,6 +167,7 @@ def doctor(
 
 def main(arguments: list[str] | None = None) -> Any:
     """Console script: runs a command and returns its exit code."""
+    write_any_letter()
     arguments = sys.argv[1:] if arguments is None else arguments
     errors = Console(stderr=True)
     spin_briefly()

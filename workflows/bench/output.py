@@ -84,7 +84,7 @@ def report(suite: str, bench: Bench, facts: dict[str, Any], rows: dict[str, dict
 def write(path: Path, content: dict[str, Any]) -> None:
     """Writes JSON. Numbers that are not finite become null, since JSON cannot hold them."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(_finite(content), indent=1, ensure_ascii=False) + "\n")
+    path.write_text(json.dumps(_finite(content), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def _finite(value: Any) -> Any:

@@ -23,7 +23,7 @@ def page(title: str, scene: bytes | str, poster: bytes | None, background: tuple
     from markupsafe import Markup
 
     shade = "#" + "".join(f"{round(255 * min(max(x, 0.0), 1.0)):02x}" for x in background)
-    style = (FOLDER / "player.css").read_text().replace("BACKGROUND", shade)
+    style = (FOLDER / "player.css").read_text(encoding="utf-8").replace("BACKGROUND", shade)
     script = bundle("main", "start")
     policy = {
         "default-src": "'none'",
@@ -79,6 +79,9 @@ def bundle(entry: str, call: str, *arguments: str) -> str:
 def source_of(name: str) -> str:
     """The text of a module; "shaders" is made of the files in shaders/: `draw.vert.glsl` is `shaders.draw_vert`."""
     if name != "shaders":
-        return (FOLDER / "scripts" / f"{name}.js").read_text()
-    texts = {path.name.removesuffix(".glsl").replace(".", "_"): path.read_text() for path in sorted((FOLDER / "shaders").glob("*.glsl"))}
+        return (FOLDER / "scripts" / f"{name}.js").read_text(encoding="utf-8")
+    texts = {
+        path.name.removesuffix(".glsl").replace(".", "_"): path.read_text(encoding="utf-8")
+        for path in sorted((FOLDER / "shaders").glob("*.glsl"))
+    }
     return f"export const shaders = {json.dumps(texts)};\n"
