@@ -15,10 +15,11 @@ from pathlib import Path
 from bench_rows.plots import draw
 from bench_rows.suites import SUITES
 from e4dgs.pipeline import SettingsError
-from e4dgs.workflows.bench.output import make_console, show_file
+from e4dgs.workflows.bench.output import show_file
 from e4dgs.workflows.bench.rows import Bench
 from e4dgs.workflows.bench.run import run
 from e4dgs.workflows.bench.suites import REPEATS, SECONDS
+from e4dgs.workflows.machine.terminal import make_console
 
 
 def main(words: list[str] | None = None) -> None:

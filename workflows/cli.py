@@ -23,7 +23,7 @@ from .exports.render import render
 from .machine.interrupts import end_cleanly_when_terminated, ended, said_when_interrupted
 from .machine.orphan import end_with_starter
 from .machine.spinning import spin_briefly
-from .machine.terminal import write_any_letter
+from .machine.terminal import make_console, write_any_letter
 from .machine.writable import writing_to
 from .options import Debug, Workspace, of_capture, of_last_run
 from .report import report
@@ -48,7 +48,7 @@ app.command()(view)
 app.command()(render)
 app.command()(report)
 app.add_typer(store, name="store")
-console = Console()
+console = make_console()
 INTERRUPTED = 130  # the convention of shells and of the command-line parser
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from ..pipeline import Artifact, Outcome, Row, make_plan, say
+from .machine.terminal import make_console
 from .machine.writable import writing_to
 from .options import of_last_run
 from .reconstruction import EVALUATION
@@ -25,7 +24,7 @@ def report(options: Options) -> None:
     if last.state == "run":
         say(str(_page_of_last_run(session, rows, last)))
         return
-    console = Console()
+    console = make_console()
     with writing_to(options.workspace.resolve()):
         (session.scene.folder / "records" / "report-shows.json").unlink(missing_ok=True)
         found = execute(session, rows, console, lambda line: None)

@@ -35,3 +35,14 @@ def test_a_command_shows_a_name_that_the_encoding_lacks(cli, capture, tmp_path):
 def test_the_page_of_the_player_is_made_where_files_are_not_utf_8_by_default():
     code = "from e4dgs.workflows.player.page import page; print(len(page('t', 'scene.e4dw', b'', (0, 0, 0), True)))"
     assert int(printed(code, "ascii", LC_ALL="C", PYTHONCOERCECLOCALE="0", PYTHONUTF8="0")) > 1000
+
+
+@pytest.mark.parametrize(("columns", "lines"), [(None, 1), ("60", 2), ("wide", 1)])
+def test_a_row_of_a_table_is_one_line_in_a_log(capture, tmp_path, columns, lines):
+    environment = {key: value for key, value in os.environ.items() if key != "COLUMNS"} | ({"COLUMNS": columns} if columns else {})
+    words = [sys.executable, "-m", "e4dgs.workflows.cli", "plan", str(capture), "--workspace", str(tmp_path / "ws")]
+    done = subprocess.run(words, capture_output=True, text=True, env=environment)
+    shown = done.stdout.splitlines()
+    (begin,) = [k for k, line in enumerate(shown) if line.startswith("flow ")]
+    end = next(k for k, line in enumerate(shown) if k > begin and not line.startswith(" "))
+    assert (end - begin == 1) == (lines == 1), done.stdout

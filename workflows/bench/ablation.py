@@ -15,6 +15,7 @@ from ...pipeline import SettingsError
 from ...pipeline.files import write_atomically
 from ...stages.hulls.defaults import CONVEXES
 from ..machine.places import typed_path
+from ..machine.terminal import make_console
 from ..options import Captures, of_captures
 from ..session import Options
 from . import output
@@ -79,7 +80,7 @@ def ablation(
     options: Options,
 ) -> None:
     """Run the rows of the paper's Table 3 (convexes, edge terms, strategies) on captures. Stages on which rows agree run once."""
-    console = output.make_console()
+    console = make_console()
     chosen = choose(rows)
     points = [(name, options.preset, ROWS[name]) for name in chosen]
     jobs = [(replace(options, capture=capture), point, seed) for capture in captures for point in points for seed in range(seeds)]

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from ..machine.places import typed_path
+from ..machine.terminal import make_console
 from ..options import Captures, Debug, of_captures, seen_as
 from ..session import Options
 from . import output
@@ -46,7 +47,7 @@ def _measures(suite: str, *files: str) -> Callable[[Callable[[], None]], Callabl
     after = [("out", Out, None), ("threads", Threads, 0), ("repeats", Repeats, REPEATS[suite]), ("seconds", Seconds, SECONDS[suite])]
 
     def measure(rows: str | None, list: bool, out: Path | None, threads: int, debug: bool, **given: Any) -> None:
-        run(suite, SUITES[suite], Bench(**given), names=rows, only_list=list, threads=threads, out=out, console=output.make_console())
+        run(suite, SUITES[suite], Bench(**given), names=rows, only_list=list, threads=threads, out=out, console=make_console())
 
     return lambda command: seen_as(measure, command, [*before, *after, ("scale", Scale, 1.0), ("debug", Debug, False)])
 
@@ -93,7 +94,7 @@ def pipeline(
 ) -> None:
     """Quality against run time of whole runs on captures; presets are points of the curve. Results are kept and reused in the workspace."""
     check_plot(plot)
-    console = output.make_console()
+    console = make_console()
     chosen = parse_points(points)
     jobs = [(replace(options, capture=capture), point, seed) for capture in captures for point in chosen for seed in range(seeds)]
     runs = []

@@ -16,13 +16,7 @@ from rich.table import Table
 from ...pipeline import say
 from .rows import Bench, Check, Measured, Row
 
-WIDTH = 180  # columns of a table written to a file or pipe
 PASSED = {True: "[green]pass[/]", False: "[red]miss[/]", None: ""}
-
-
-def make_console() -> Console:
-    console = Console()
-    return console if console.is_terminal else Console(width=WIDTH)
 
 
 def number(value: float, unit: str) -> str:

@@ -1,11 +1,21 @@
-"""What a terminal, a log or a pipe can take: letters that its encoding does not have are escaped."""
+"""What a terminal, a log or a pipe can take: the letters of its encoding, and tables of some width."""
 
 from __future__ import annotations
 
 import codecs
+import os
 import sys
 
+from rich.console import Console
+
+WIDTH = 1000  # columns of a file or pipe: more than any row of a table has, so that each stays one line that can be searched for
 ESCAPES = "e4dgs.escapes"  # name of the error handler of streams
+
+
+def make_console() -> Console:
+    """A console for tables: as wide as the terminal, and elsewhere as the environment's COLUMNS says, or `WIDTH`."""
+    console = Console()
+    return console if console.is_terminal or os.environ.get("COLUMNS", "").isdigit() else Console(width=WIDTH)
 
 
 def write_any_letter() -> None:
