@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from e4dgs.pipeline import SettingsError
-from e4dgs.workflows.machine.places import check_output
+from e4dgs.workflows.machine.places import check_output, typed_path
 
 KINDS = ("flow", "ply", "spz", "sog", "gltf", "web", "4dgs", "usd", "mesh")
 COMMANDS = [("render",), *(("export", kind) for kind in KINDS)]
@@ -98,6 +98,17 @@ def test_a_workspace_in_the_capture_may_be_written_to(rig, monkeypatch):
 def test_an_empty_path_is_not_the_current_folder(cli, capture, words):
     result = cli(*(capture if word == "CAPTURE" else word for word in words))
     assert result.code == 2 and "is empty; give one" in result.err and not Path("e4dgs-workspace").exists(), result.err
+
+
+def test_a_path_may_begin_with_the_home_folder(cli, capture, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert typed_path("~/x") == tmp_path / "home" / "x" and typed_path("a/~/x") == Path("a/~/x")
+    assert cli("run", "frames", capture, "--workspace=~/ws").code == 0
+    assert (tmp_path / "home" / "ws" / "store").is_dir() and not Path("~").exists()
+    result = cli("plan", capture, "--workspace=~no-such-user/ws")
+    assert result.code == 2 and "~no-such-user/ws: there is no such user" in " ".join(result.err.split())
+    for words in (("raster", "--garden=~/x"), ("step", "--rows", "split", "--capture=~/x")):
+        assert f"{tmp_path}/home/x" in cli("bench", *words).err
 
 
 @pytest.mark.parametrize("command", [("plan",), ("run", "all"), ("batch",), ("render", "--out", "a.mp4"), ("why", "frames")], ids=" ".join)

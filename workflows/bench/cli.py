@@ -35,9 +35,12 @@ Scale = Annotated[
     float, typer.Option("--scale", min=1e-4, max=1, help="Fraction of the full sizes, for a quick look; bars apply only at 1.")
 ]
 Garden = Annotated[
-    Path | None, typer.Option("--garden", metavar="FILE.npz", help="gsplat's test_garden.npz; by default a synthetic scene.")
+    Path | None,
+    typer.Option("--garden", parser=typed_path, metavar="FILE.npz", help="gsplat's test_garden.npz; by default a synthetic scene."),
 ]
-Capture = Annotated[Path | None, typer.Option("--capture", metavar="CAPTURE", help="A capture with poses; by default the sample.")]
+Capture = Annotated[
+    Path | None, typer.Option("--capture", parser=typed_path, metavar="CAPTURE", help="A capture with poses; by default the sample.")
+]
 
 
 def _measures(suite: str, *files: str) -> Callable[[Callable[[], None]], Callable[..., None]]:

@@ -114,9 +114,10 @@ def _planned(
     if path in NAMES:
         film = asked.film(seconds_of(path, frames, moves=time is None and not model.motion.static))
         return named_path(path, frames, model, film.count, film.seconds), (frames.width, frames.height), film, ()
-    if not Path(path).is_file():
+    file = typed_path(path)
+    if not file.is_file():
         raise SettingsError(f"--path {path}: neither one of {', '.join(NAMES)} nor a file")
-    views = path_of_file(Path(path), frames)
+    views = path_of_file(file, frames)
     return views, views.size, asked.film_of(len(views.time), views.fps), views.notes
 
 

@@ -12,10 +12,14 @@ from ...pipeline import SettingsError
 
 
 def typed_path(text: str | Path) -> Path:
-    """A path as it was typed. An empty one, often a shell variable without a value, would mean the current folder, so it is refused."""
+    """A path as it was typed. An empty one, often a shell variable without a value, would mean the current folder, so it is refused. In
+    --out=~/x a shell leaves the ~ as it is."""
     if not str(text).strip():
         raise typer.BadParameter("the name is empty; give one, or . for the current folder")
-    return Path(text)
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:
+        raise typer.BadParameter(f"{text}: there is no such user; for a name that begins with ~ give the whole path") from error
 
 
 def check_workspace(workspace: Path) -> None:
