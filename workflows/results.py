@@ -111,7 +111,8 @@ def in_workspace(workspace: Path) -> str:
 
 def words_of(options: Options) -> list[str]:
     """The capture and the options as words of a command line, without options that have their default."""
-    words = [str(options.capture)]
+    capture = str(options.capture)
+    words = [f"./{capture}" if capture.startswith("-") else capture]  # a word that begins with - is an option
     for flag, value, default in (
         ("--workspace", str(options.workspace), str(DEFAULT_WORKSPACE)),
         ("--preset", options.preset, "default"),

@@ -2,12 +2,13 @@
 
 import io
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 from av.video.reformatter import ColorRange, Colorspace
-from e4dgs.vision.images.movie import encode_movie, even
+from e4dgs.vision.images.movie import Movie, encode_movie, even
 
 
 def test_the_same_pictures_give_the_same_bytes():
@@ -46,6 +47,13 @@ def test_pictures_of_any_size_can_be_encoded(size, encoded):
     with av.open(io.BytesIO(encode_movie([np.full((*size, 3), 200, np.uint8)] * 3, 15.0))) as movie:
         frames = list(movie.decode(video=0))
     assert [(frame.height, frame.width) for frame in frames] == [encoded] * 3
+
+
+def test_a_relative_name_may_have_a_colon(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with Movie(Path("take10:30.mp4"), 15.0) as movie:
+        movie.add(np.zeros((8, 8, 3), np.uint8))
+    assert [file.name for file in tmp_path.iterdir()] == ["take10:30.mp4"] and (tmp_path / "take10:30.mp4").stat().st_size
 
 
 COLOURS = np.array([[203, 48, 34], [30, 200, 60], [20, 40, 220], [255, 255, 255], [0, 0, 0], [128, 128, 128], [240, 200, 10]], np.uint8)

@@ -2,10 +2,13 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 from e4dgs.workflows.cli import main
 from e4dgs.workflows.last_run import KEPT, Run, last_run, runs_of
+from e4dgs.workflows.results import words_of
+from e4dgs.workflows.session import Options
 
 QUICK = ["--set", "coarse.iterations=5", "--set", "hulls.budget=0", "--set", "fine.iterations=0", "--device", "cpu"]
 
@@ -142,6 +145,13 @@ def test_the_list_of_runs_is_bounded_and_survives_damage(tmp_path):
     assert last_run(tmp_path) == Run("all", set=(f"coarse.seed={KEPT + 4}",), began=float(KEPT + 4))
     (tmp_path / "runs.json").write_text("[]")
     assert runs_of(tmp_path) == [] and last_run(tmp_path, "coarse") is None
+
+
+def test_a_command_for_a_capture_that_begins_like_an_option_can_be_typed(cli, capture, tmp_path):
+    capture.rename(tmp_path / "-take")
+    result = cli("export", "ply", "./-take")
+    assert result.code == 2 and "make it with: e4dgs run " in result.err and result.err.endswith("./-take\n"), result.err
+    assert words_of(Options(Path("-take"), Path("e4dgs-workspace")))[0] == "./-take"
 
 
 def test_a_run_of_a_later_stage_includes_the_earlier_ones(tmp_path):

@@ -102,7 +102,7 @@ class Movie:
     def __enter__(self) -> Movie:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._part = self.path.with_name(f".{self.path.stem}-{os.getpid()}.mp4")
-        self._encoder = Encoder(str(self._part), self.fps)
+        self._encoder = Encoder(str(self._part.absolute()), self.fps)  # what comes before a : in a relative name would be a protocol
         return self
 
     def add(self, picture: np.ndarray) -> None:
