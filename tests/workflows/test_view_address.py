@@ -3,12 +3,13 @@
 import logging
 import os
 import socket
+import threading
 import warnings
 
 import pytest
 from e4dgs.pipeline import SettingsError
 from e4dgs.workflows.cli import main
-from e4dgs.workflows.view.address import addresses, listening, over_ssh
+from e4dgs.workflows.view.address import SCREENS, addresses, listening, open_page, over_ssh
 from e4dgs.workflows.view.quiet import NOISY, hush, unsaid
 
 
@@ -25,6 +26,26 @@ def test_a_host_that_cannot_be_listened_on_is_an_error_before_anything_is_loaded
     assert main(["view", str(tmp_path), "--workspace", str(tmp_path / "w"), "--preset", "fast", "--host", host, "--no-browser"]) == 2
     told = " ".join(capsys.readouterr().err.split())
     assert told.startswith(f"error: --host {host}".rstrip()) and words in told
+
+
+@pytest.mark.parametrize(
+    ("platform", "screen", "opens"), [("linux", "", False), *(("linux", name, True) for name in SCREENS), ("darwin", "", True)]
+)
+def test_a_page_is_opened_where_there_is_a_screen_and_nobody_waits_for_the_browser(monkeypatch, platform, screen, opens):
+    opened, closed = threading.Event(), threading.Event()
+
+    def browse(address):
+        assert address == "http://x"
+        opened.set()
+        closed.wait(20)
+
+    for name in SCREENS:
+        monkeypatch.setenv(name, "1" if name == screen else "")
+    monkeypatch.setattr("sys.platform", platform)
+    monkeypatch.setattr("webbrowser.open", browse)
+    open_page("http://x")
+    assert opened.wait(20 if opens else 0.2) == opens
+    closed.set()
 
 
 def test_a_port_in_use_gives_the_next():

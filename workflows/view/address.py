@@ -7,11 +7,15 @@ import getpass
 import ipaddress
 import os
 import socket
+import sys
+import threading
+import webbrowser
 from contextlib import suppress
 
 from ...pipeline import SettingsError
 
 TRIED = 1000  # ports, from the one that was asked for
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER", "WSL_DISTRO_NAME")  # one of them is set where a browser can show something
 ELSEWHERE = {socket.AF_INET: "192.0.2.1", socket.AF_INET6: "2001:db8::1"}  # reserved for documentation (RFC 5737, 3849)
 
 
@@ -36,6 +40,13 @@ def listening(host: str, port: int) -> tuple[str, int]:
     if why.errno == errno.EADDRNOTAVAIL:
         raise SettingsError(f"--host {host}: not an address of this machine; use 127.0.0.1, or 0.0.0.0 for all of its addresses")
     raise SettingsError(f"--host {host}: cannot listen there ({_reason(why)})") from why
+
+
+def open_page(address: str) -> None:
+    """Opens a page in a browser, without waiting for it. Not on a Linux without a screen, for instance over ssh: there the browser that is
+    found would be one of text, which takes the terminal."""
+    if sys.platform != "linux" or any(os.environ.get(name) for name in SCREENS):
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
 
 def _free_port(family: int, place: tuple, host: str, port: int) -> int:

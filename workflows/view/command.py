@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import webbrowser
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,7 +11,7 @@ from ...pipeline import CaptureError, say
 from ...stages.facts import Facts
 from ..options import of_last_run
 from ..session import Options, open_session
-from .address import addresses, listening, over_ssh
+from .address import addresses, listening, open_page, over_ssh
 
 if TYPE_CHECKING:
     from .page_server import PageServer
@@ -65,7 +64,7 @@ def view(
         also = "".join(f", from other machines {page}" for page in pages[1:])
         say(*filter(None, (f"{found.title}: {pages[0]}{also} (Ctrl-C ends)", over_ssh(host, viewer.port))))
         if not no_browser:
-            webbrowser.open(pages[0])
+            open_page(pages[0])
         try:
             while True:
                 time.sleep(LOOK_AGAIN)
