@@ -1,5 +1,8 @@
 """`e4dgs view --player` serves the page of the web player, and the newest model to whoever opens it again."""
 
+import socket
+import struct
+import time
 import urllib.error
 import urllib.request
 
@@ -43,6 +46,25 @@ def test_the_page_and_its_scene_are_served_and_nothing_else(server):
         assert read(server, path)[0] == 404
     server.show(Found(made("static", gaussians=50, convexes=4, degree=1), "fine, finished"))
     assert WebScene.from_bytes(read(server, "/scene.e4dw")[2]).header["motion"] == "static"
+
+
+def test_a_page_that_is_closed_while_it_loads_prints_nothing(server, capfd):
+    server.files = {**server.files, "/large": ("application/octet-stream", bytes(1 << 26))}
+    ended, end = [], server.server.shutdown_request
+    server.server.shutdown_request = lambda request: (end(request), ended.append(request))
+    for words in (b"GET /large HTTP/1.1\r\n\r\n", b"GET /lar"):
+        with socket.create_connection(("127.0.0.1", server.port)) as page:
+            page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # closing it is a reset
+            page.sendall(words)
+            time.sleep(0.2)
+    deadline = time.monotonic() + 20
+    while len(ended) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert len(ended) == 2 and "Traceback" not in capfd.readouterr().err
+    server.files["/broken"] = ("text/html", None)
+    with pytest.raises(OSError):
+        read(server, "/broken")
+    assert "TypeError" in capfd.readouterr().err, "other errors are shown"
 
 
 def test_a_browser_draws_it(server, browser):
