@@ -28,7 +28,10 @@ def show_capture(console: Console, session: Session) -> None:
     say(f"  {counted(facts.frames, 'frame')} {facts.width}x{facts.height}, {seen}; {splits}", to=console)
     holdout = getattr(session.job.settings.get("frames"), "holdout", 0)
     if facts.frames < holdout and facts.every_time == 1 and not (facts.splits.get("test") or facts.splits.get("val")):
-        say(f"  {counted(facts.frames, 'picture')}, fewer than frames.holdout={holdout}: none is held out for testing", to=console)
+        say(
+            f"  {counted(facts.frames, 'picture')}, fewer than frames.holdout={holdout}: all train, and none is held out for testing",
+            to=console,
+        )
     say(*(f"  {one_line(note)}" for note in session.notes), to=console)
     if session.scene.notice is not None:
         say(f"  {session.scene.notice}", to=console)

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from ...pipeline import SettingsError, counted, say
 from ...stages.captures import usual
+from ..machine.terminal import make_console
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace, of_captures, typed_name
 from ..results import words_of
@@ -156,7 +157,7 @@ def status(
         raise SettingsError(f"{workspace}: no batch has been run in this workspace")
     ledger = Ledger(workspace.resolve(), name or known[-1])
     ledger.entries()
-    Console().print(table(ledger))
+    make_console().print(table(ledger))
 
 
 def _refuse_what_is_local(given: dict[str, Any], executor: str, emit: str | None) -> None:

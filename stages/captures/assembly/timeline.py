@@ -13,6 +13,7 @@ from ..reading import DEFAULT_FPS, TEST, TRAIN, VAL, Options, Reading, Shot
 from . import skipped_times as skipping
 
 LEAST_TIMES = 3  # of training, from which their span says something
+FEW = 3  # frames, of which the first would be a third or half
 MOST_SPAN = 10.0  # ratio of the span of held-out times to that of the training times
 
 
@@ -57,10 +58,11 @@ def timeline(given: Path, reading: Reading, options: Options) -> Timeline:
 
 
 def _splits(given: Path, reading: Reading, options: Options) -> np.ndarray:
-    """[F] uint8: the splits of the files, or every N-th frame held out; none of fewer than N, as the first would be more than an N-th of
-    them, and half of two. Raises CaptureError if no frame is for training."""
+    """[F] uint8: the splits of the files, or every N-th frame held out, but none of `FEW` frames that are fewer than N. Raises CaptureError
+    if no frame is for training."""
     split = np.array([s.split for s in reading.shots], dtype=np.uint8)
-    if not reading.has_split and 0 < options.holdout <= len(split) and options.every_time == 1:
+    enough = len(split) > FEW or len(split) >= options.holdout
+    if not reading.has_split and options.holdout and enough and options.every_time == 1:
         split[np.arange(len(split)) % options.holdout == 0] = TEST
     if not (split == TRAIN).any():
         own = "use frames.holdout=0, or 2 and more"
