@@ -89,9 +89,11 @@ def test_two_batches_of_one_name_do_not_run_at_the_same_time(tmp_path, capsys):
     words = ["--workspace", str(tmp_path / "work"), "--emit", "slurm"]
     assert main(["batch", str(tmp_path / "a"), *words]) == 0
     ledger = Ledger(tmp_path / "work", "batch")
-    with ledger.alone():
+    with ledger.held(ledger.entries()):
         assert main(["batch", str(tmp_path / "b"), *words]) == 2
-        assert "--name batch: this batch is running in another process; give this one another --name" in capsys.readouterr().err
+        said = "--name batch: a batch of this name with another list is running in another process; give this one another --name"
+        assert said in capsys.readouterr().err
+        assert main(["batch", str(tmp_path / "a"), *words]) == 0, "the same list is worked on together"
         assert main(["batch", str(tmp_path / "b"), *words, "--name", "other"]) == 0
     assert [entry.name for entry in ledger.entries()] == ["a"], "the running batch keeps its list"
     assert main(["batch", str(tmp_path / "a"), str(tmp_path / "b"), *words]) == 0

@@ -77,7 +77,7 @@ def batch(
     words += words_of(options)[1:]
     with ExitStack() as held:
         with writing_to(workspace):
-            held.enter_context(Ledger(workspace, name).alone())
+            held.enter_context(Ledger(workspace, name).held(entries))
             if before := Ledger(workspace, name).replaced_by(entries):
                 shown = ", ".join(before[:MOST_NAMES]) + (", ..." if len(before) > MOST_NAMES else "")
                 say(

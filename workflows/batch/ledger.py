@@ -17,6 +17,7 @@ from .listing import Entry, known
 State = Literal["waiting", "running", "done", "failed", "lost"]
 LOST = "the process that ran it is gone; the same e4dgs batch command continues it"
 LOOK = 0.2  # s between two attempts to lock a scene
+WRITTEN = 5.0  # s within which a batch that has begun has written its list
 
 
 @dataclass
@@ -56,12 +57,23 @@ class Ledger:
         return ledger
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
-        """Only one process at a time makes and runs the batch. Raises SettingsError if another one does: it would lose its list."""
+    def held(self, entries: Sequence[Entry]) -> Iterator[None]:
+        """While the batch runs, no other process can give it another list than ``entries``; with the same list it may join in. Raises
+        SettingsError if another process runs another list."""
         with locked(self.folder / "batch.lock", wait=False) as ours:
-            if not ours:
-                raise SettingsError(f"--name {self.name}: this batch is running in another process; give this one another --name")
+            if not ours and not self._lists(entries):
+                raise SettingsError(
+                    f"--name {self.name}: a batch of this name with another list is running in another process; give this one "
+                    "another --name"
+                )
             yield
+
+    def _lists(self, entries: Sequence[Entry]) -> bool:
+        """Whether the batch, which another process has just begun or is running, has this list."""
+        end = time.monotonic() + WRITTEN
+        while not self.exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        return self.exists() and self.entries() == list(entries)
 
     def replaced_by(self, entries: Sequence[Entry]) -> list[str]:
         """Names of the scenes of an earlier batch of this name that has nothing in common with these ``entries``; [] if there is none."""
