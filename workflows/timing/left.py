@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ...pipeline import Outcome, Row, duration
 
-TRUSTED = 15.0  # s; the plan is believed as if it had been right for so long already, so that a short stage says little
+TRUSTED = 60.0  # s; the plan is believed as if it had been right for so long already, so that a short stage says little
 
 
 class Left:
