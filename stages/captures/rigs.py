@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from . import checks
-from .listing.numbers import places, two_numbers
+from .listing.numbers import follow_numbers, places, set_times, two_numbers
 from .reading import Shot
 
 
@@ -29,6 +29,36 @@ class Rig:
     gaps: bool = False
     note: str | None = None
     others: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Placed:
+    """What `place_untimed` has found. several: whether there are several cameras. notes: for people. others: see `Rig`."""
+
+    several: bool
+    notes: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+
+
+def place_untimed(
+    root: Path, shots: Sequence[Shot], static: bool, fps: float | None, deleted: Sequence[str] = (), flat: bool = False
+) -> Placed:
+    """Sets camera and time of each of ``shots``, whose files say neither: folders with files of the same names are the cameras of a rig;
+    cameras that stand still are told by names and poses; else one camera moved, and its pictures follow the numbers in their names.
+
+    shots: in the order of their names. static: times do not matter. fps, deleted: see `set_times`, `cameras_of`. flat: folders are no
+    cameras."""
+    rig = Rig() if flat else cameras_of(root, [shot.file or shot.name for shot in shots], deleted)
+    notes = (rig.note,) if rig.note else ()
+    if rig.places is not None:
+        for shot, (camera, _) in zip(shots, rig.places, strict=True):
+            shot.camera = checks.natural_key(camera)
+        set_times(shots, [time for _, time in rig.places], rig.gaps, fps)
+        return Placed(True, notes, rig.others)
+    if static:
+        return Placed(False, notes)
+    named = cameras_in_names(shots, fps)
+    return Placed(named is not None, (*notes, *(follow_numbers(shots, fps) if named is None else named)))
 
 
 def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -> Rig:
@@ -65,23 +95,25 @@ def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -
     return Rig(note=note, others=others)
 
 
-def cameras_in_names(shots: Sequence[Shot]) -> bool:
-    """Whether the names of pictures in one folder hold two numbers (`cam0_0001.png`), of which one is the camera, because all pictures with
-    the same one have one pose. Then `Shot.camera` and `Shot.time` are set."""
+def cameras_in_names(shots: Sequence[Shot], fps: float | None) -> tuple[str, ...] | None:
+    """If the names of pictures in one folder hold two numbers (`cam0_0001.png`), of which one is the camera, because all pictures with the
+    same one have one pose: sets cameras and times, and returns lines for people about numbers that are skipped. None otherwise."""
     files = [shot.file or shot.name for shot in shots]
     columns = two_numbers(files) if len(folders_of(files)) == 1 else None
-    for camera, time in () if columns is None else (columns, columns[::-1]):
+    if columns is None:
+        return None
+    for camera, time in (columns, columns[::-1]):
         for shot, number in zip(shots, camera, strict=True):
             shot.camera = number
         if max(Counter(camera).values()) > 1 and all_fixed(shots):
             numbers = sorted(set(time))
-            place = dict(zip(numbers, places([f"{number}.png" for number in numbers])[0], strict=True))
-            for shot, number in zip(shots, time, strict=True):
-                shot.time = float(place[number])
-            return True
-    for shot in shots if columns is not None else ():
+            clock, told = places([f"{number}.png" for number in numbers])
+            place = dict(zip(numbers, clock, strict=True))
+            set_times(shots, [place[number] for number in time], clock[-1] >= len(clock), fps)
+            return (told,) if told else ()
+    for shot in shots:
         shot.camera = 0
-    return False
+    return None
 
 
 def all_fixed(shots: Sequence[Shot]) -> bool:

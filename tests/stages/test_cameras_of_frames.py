@@ -68,6 +68,21 @@ def test_a_rig_whose_names_skip_numbers_has_gaps_in_time(tmp_path):
     assert capture.facts["fixed_cameras"] and any("the names skip 4 to 6" in note for note in capture.notes)
 
 
+def test_cameras_in_one_folder_whose_names_skip_numbers_have_gaps_in_time(tmp_path):
+    names = [f"cam{c}_{i}.png" for c in range(2) for i in (1, 2, 3, 7)]
+    capture = recognise(colmap(tmp_path, names, [float(name[3]) for name in names]))
+    np.testing.assert_allclose(capture.seconds, [0, 1 / 30, 2 / 30, 0.2] * 2)
+    assert any("the names skip 4 to 6" in note for note in capture.notes)
+
+
+def test_a_picture_that_decides_about_a_rig_is_in_the_digest(tmp_path):
+    """As for COLMAP: cached results must not outlive it."""
+    frames = [{"file_path": f"images/cam{c}/{i}.png", "transform_matrix": at(c)} for c in range(2) for i in range(3)]
+    root = transforms(tmp_path, frames)
+    picture(root / "images/cam1/9.png")
+    assert "images/cam1/9.png" in recognise(root).files and recognise(root).facts["cameras"] == 2
+
+
 def test_folders_of_frames_without_times_are_the_cameras_of_a_rig(tmp_path):
     frames = [{"file_path": f"images/cam{c}/{i:04d}.png", "transform_matrix": at(c)} for c in range(3) for i in range(4)]
     capture = recognise(transforms(tmp_path, frames))

@@ -16,11 +16,10 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..keep_masks import add_masks
-from ..listing.numbers import follow_numbers
 from ..posed.finding import find_pictures
 from ..posed.stated import states_layout
-from ..reading import DEFAULT_FPS, Options, Reading, Shot
-from ..rigs import Rig, all_fixed, cameras_in_names, cameras_of, folders_of
+from ..reading import Options, Reading, Shot
+from ..rigs import all_fixed, folders_of, place_untimed
 from . import n3v
 from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places, told_twice
 
@@ -54,15 +53,9 @@ def read(root: Path, options: Options) -> Reading:
     paths = list(found.paths.values())
     deleted = [model.pictures + images[i].name.replace("\\", "/") for i in found.gone]
     sizes, alpha = checks.image_headers(root, paths)
-    rig = cameras_of(root, paths, deleted)
-    times = rig.places or [("", i) for i in range(len(images)) if i in found.paths]
-    shots = []
-    for (camera, time), i, size in zip(times, found.paths, sizes, strict=True):
-        shots.append(_shot(root, images[i], found.paths[i], size, cameras, files))
-        shots[-1].camera, shots[-1].time = checks.natural_key(camera), float(time)
-        shots[-1].seconds = time / (options.fps or DEFAULT_FPS) if rig.gaps else None
-    named = rig.places is None and not options.static and cameras_in_names(shots)
-    skipped = () if rig.places or named or options.static else follow_numbers(shots, options.fps)
+    found_at = zip(found.paths.items(), sizes, strict=True)
+    shots = [_shot(root, images[i], path, size, cameras, files) for (i, path), size in found_at]
+    placed = place_untimed(root, shots, options.static, options.fps, deleted)
     masked = add_masks(root, shots, model.pictures)
     copies = _copies(root, model.pictures)
     notes = (
@@ -70,28 +63,22 @@ def read(root: Path, options: Options) -> Reading:
         *([model.note] if model.note else []),
         *told_twice(model),
         *found.notes,
-        *skipped,
+        *placed.notes,
         *masked,
         *copies[0],
-        *_told(root, model, rig, paths, where),
+        *_told(root, model, paths, where),
     )
-    layout = (
-        "a static scene"
-        if options.static
-        else f"{len({s.camera for s in shots})} cameras"
-        if rig.places or named
-        else "one camera over time"
-    )
+    cameras_told = f"{len({shot.camera for shot in shots})} cameras" if placed.several else "one camera over time"
     has_points = (root / files["points3D"]).is_file()
     return Reading(
-        why=f"a COLMAP model in {where}, {layout}",
+        why=f"a COLMAP model in {where}, {'a static scene' if options.static else cameras_told}",
         shots=shots,
         alpha=alpha,
-        sources=(*(file for part, file in files.items() if part != "points3D" or has_points), *others, *rig.others),
+        sources=(*(file for part, file in files.items() if part != "points3D" or has_points), *others, *placed.others),
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
         fixed_cameras=all_fixed(shots),
-        untimed=not rig.places and not named,
+        untimed=not placed.several,
         notes=notes,
         spoken_for=(*copies[1], *(file for file in others)),
     )
@@ -107,15 +94,12 @@ def _shot(root: Path, image: ImageRecord, path: str, size: tuple[int, int], came
     return shot
 
 
-def _told(root: Path, model: Model, rig: Rig, paths: Sequence[str], where: str) -> tuple[str, ...]:
-    """Notes on folders that are no rig, and on pictures that the model has no pose for."""
+def _told(root: Path, model: Model, paths: Sequence[str], where: str) -> tuple[str, ...]:
+    """A note on pictures that the model has no pose for."""
     base = model.pictures.rstrip("/")
     listed = {f"{place}/{name}".lstrip("/") for place in {base, *folders_of(paths)} for name in checks.list_folder(root / place)}
     unposed = [n for n in listed - set(paths) if n.lower().endswith(checks.IMAGE_SUFFIXES)]
-    notes = [rig.note] if rig.note else []
-    if unposed:
-        notes.append(f"{len(unposed)} images without a pose in {where} are left out")
-    return tuple(notes)
+    return (f"{len(unposed)} images without a pose in {where} are left out",) if unposed else ()
 
 
 def _copies(root: Path, pictures: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

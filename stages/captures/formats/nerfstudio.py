@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import posixpath
 import unicodedata
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,10 @@ import numpy as np
 
 from ....pipeline import CaptureError, counted
 from .. import checks, keep_masks
-from ..listing.numbers import follow_numbers
 from ..ply_points import read_points
 from ..posed.timestamps import timestamps
-from ..reading import DEFAULT_FPS, SPLITS, TRAIN, Options, Reading, Shot
-from ..rigs import Rig, cameras_in_names, cameras_of
+from ..reading import SPLITS, TRAIN, Options, Reading, Shot
+from ..rigs import Placed, place_untimed
 from . import transforms
 from .cameras_of_times import fixed_cameras, moving_cameras
 from .frame_files import cloud_of, depth_of, lost_depth, mask_of
@@ -69,7 +67,10 @@ def read(root: Path, options: Options) -> Reading:
                 split=TRAIN if splits is None else splits[i],
             )
         )
-    said += _set_times(root, shots, times, data, options)
+    placed = Placed(False)
+    if times is None:
+        flat = any(posixpath.basename(posixpath.dirname(path)).lower() in _SPLIT_FOLDERS for path in paths.values())
+        placed = place_untimed(root, shots, options.static, options.fps or _fps(data), flat=flat)
     fixed = fixed_cameras(shots)
     if not fixed and times is not None:
         moving_cameras(shots)
@@ -89,32 +90,14 @@ def read(root: Path, options: Options) -> Reading:
         shots=shots,
         alpha=alpha,
         has_split=splits is not None,
-        untimed=times is None and several == 1,
+        untimed=times is None and not placed.several,
         fps=_fps(data),
         fixed_cameras=fixed,
-        sources=(_FILE, *([cloud] if cloud else [])),
+        sources=(_FILE, *([cloud] if cloud else []), *placed.others),
         points=points if len(points) else None,
         point_colors=colors if len(points) else None,
-        notes=(*found.notes, *said, *masked, *missing),
+        notes=(*found.notes, *said, *placed.notes, *masked, *missing),
     )
-
-
-def _set_times(root: Path, shots: Sequence[Shot], times: Sequence[float] | None, data: dict[str, Any], options: Options) -> tuple[str, ...]:
-    """Times, and cameras, of frames that have none: folders with files of the same names are the cameras of a rig, and the pictures of one
-    camera follow the numbers in their names. Returns lines for people."""
-    if times is not None or options.static:
-        return ()
-    files = [shot.file or "" for shot in shots]
-    folders = {posixpath.basename(posixpath.dirname(file)).lower() for file in files}
-    rig = Rig() if folders & _SPLIT_FOLDERS else cameras_of(root, files)
-    if rig.places is None and cameras_in_names(shots):
-        return ()
-    if rig.places is None:
-        return (*([rig.note] if rig.note else []), *follow_numbers(shots, options.fps or _fps(data)))
-    for shot, (camera, time) in zip(shots, rig.places, strict=True):
-        shot.camera, shot.time = checks.natural_key(camera), float(time)
-        shot.seconds = time / (options.fps or _fps(data) or DEFAULT_FPS) if rig.gaps else None
-    return (rig.note,) if rig.note else ()
 
 
 def _fps(data: dict[str, Any]) -> float | None:

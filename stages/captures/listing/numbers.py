@@ -63,15 +63,19 @@ def two_numbers(names: Sequence[str]) -> list[list[int]] | None:
 
 
 def follow_numbers(shots: Sequence[Shot], fps: float | None) -> tuple[str, ...]:
-    """Sets `Shot.time` of ``shots`` of one camera, in order, by the numbers in the names of their files, and `Shot.seconds` where some are
-    missing: structure from motion drops frames. fps: of the numbers; `DEFAULT_FPS` if None. Returns a line for people where numbers are
-    missing or say nothing."""
+    """Sets the times of ``shots`` of one camera, in order, by the numbers in the names of their files: structure from motion drops frames.
+    fps: see `set_times`. Returns a line for people where numbers are missing or say nothing."""
     clock, told = places([shot.file or shot.name for shot in shots])
+    set_times(shots, clock, clock[-1] >= len(clock), fps)
+    return (told,) if told else ()
+
+
+def set_times(shots: Sequence[Shot], clock: Sequence[int], gaps: bool, fps: float | None) -> None:
+    """Sets `Shot.time` of each of ``shots`` to its place on the ``clock``, and `Shot.seconds` if there are ``gaps``: places without a
+    picture, whose time has passed, too. fps: places in a second; `DEFAULT_FPS` if None."""
     for shot, at in zip(shots, clock, strict=True):
         shot.time = float(at)
-        if clock[-1] >= len(shots):
-            shot.seconds = at / (fps or DEFAULT_FPS)
-    return (told,) if told else ()
+        shot.seconds = at / (fps or DEFAULT_FPS) if gaps else None
 
 
 def _gap(before: Fraction, after: Fraction, step: Fraction) -> str:
