@@ -1,8 +1,10 @@
-"""Converts PNG pictures whose cICP chunk says that they are HDR or have a wide gamut, as frames of HDR video that FFmpeg wrote do."""
+"""What coded colours mean by the numbers of H.273, and the conversion of PNG pictures that have them, as frames of HDR video that FFmpeg
+wrote do (cICP chunk)."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,20 +13,20 @@ from .wide_colour import HLG_PEAK, WHITE, Curve, Gamut, to_sdr
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# Values of ITU-T H.273, with the same consequences as in a video.
-_UNSPECIFIED = (0, 2)
+# Values of ITU-T H.273.
+UNSPECIFIED = (0, 2)
 _CURVES: dict[int, Curve] = {16: "PQ", 18: "HLG"}
-_GAMUTS: dict[int, Gamut] = {9: "BT.2020", 11: "P3", 12: "P3"}
-_UNREAD_GAMUTS = {4: "BT.470 M", 8: "film", 10: "CIE XYZ"}
-_UNREAD_CURVES = {8: "linear", 9: "logarithmic", 10: "logarithmic", 17: "SMPTE 428"}
+_GAMUTS: dict[int, Gamut] = {9: "BT.2020", 11: "P3", 12: "P3"}  # 11, of cinemas, is 12 with a greener white, which is shown as white
+UNREAD_GAMUTS = {4: "BT.470 M", 8: "film", 10: "CIE XYZ"}
+UNREAD_CURVES = {8: "linear", 9: "logarithmic", 10: "logarithmic", 17: "SMPTE 428"}
 
 
-class Coding(NamedTuple):
-    """What a cICP chunk says. primaries, transfer: numbers of H.273. full: whether black is 0 and white the largest code."""
+@dataclass(frozen=True)
+class CodingPoints:
+    """How the colours of a picture or a video are coded. transfer, primaries: numbers of H.273; 2 if unspecified."""
 
-    primaries: int
-    transfer: int
-    full: bool
+    transfer: int = 2
+    primaries: int = 2
 
     @property
     def curve(self) -> Curve:
@@ -32,23 +34,39 @@ class Coding(NamedTuple):
 
     @property
     def gamut(self) -> Gamut:
-        if self.primaries in _UNSPECIFIED and self.curve != "SDR":
+        if self.primaries in UNSPECIFIED and self.curve != "SDR":
             return "BT.2020"
         return _GAMUTS.get(self.primaries, "BT.709")
 
     @property
+    def is_plain(self) -> bool:
+        """SDR with the primaries of BT.709 or close to them: the codes are used as they are."""
+        return self.curve == "SDR" and self.gamut == "BT.709"
+
+    def conversion(self, its: str) -> str | None:
+        """A line about what is converted; None if the colours are plain. its: "its" or "the"."""
+        if self.is_plain:
+            return None
+        if self.curve == "SDR":
+            return f"{its} wide gamut ({self.gamut}) is converted to that of sRGB (BT.709); what lies outside is clipped"
+        shown = f", shown at {HLG_PEAK:.0f} cd/m2" if self.curve == "HLG" else ""
+        return f"HDR ({self.curve}{shown}, {self.gamut}) is converted to SDR (sRGB, BT.709); {WHITE:.0f} cd/m2 becomes white"
+
+
+@dataclass(frozen=True)
+class Coding(CodingPoints):
+    """What a cICP chunk says. full: whether black is 0 and white the largest code."""
+
+    full: bool = True
+
+    @property
     def told(self) -> str | None:
         """A line about what is done with the colours; None if they are used as they are."""
-        said = []
-        if self.curve != "SDR":
-            shown = f", shown at {HLG_PEAK:.0f} cd/m2" if self.curve == "HLG" else ""
-            said.append(f"HDR ({self.curve}{shown}, {self.gamut}) is converted to SDR (sRGB, BT.709); {WHITE:.0f} cd/m2 becomes white")
-        elif self.gamut != "BT.709":
-            said.append(f"the wide gamut ({self.gamut}) is converted to that of sRGB (BT.709); what lies outside is clipped")
-        if self.transfer in _UNREAD_CURVES:
-            said.append(f"the transfer curve ({_UNREAD_CURVES[self.transfer]}) is not converted, so the contrast is another")
-        if self.primaries in _UNREAD_GAMUTS:
-            said.append(f"the primaries ({_UNREAD_GAMUTS[self.primaries]}) are not converted, so the colours are others")
+        said = [line for line in (self.conversion("the"),) if line]
+        if self.transfer in UNREAD_CURVES:
+            said.append(f"the transfer curve ({UNREAD_CURVES[self.transfer]}) is not converted, so the contrast is another")
+        if self.primaries in UNREAD_GAMUTS:
+            said.append(f"the primaries ({UNREAD_GAMUTS[self.primaries]}) are not converted, so the colours are others")
         if not self.full:
             said.append("the limited range is not converted, so the contrast is lower; write the PNG files with full range")
         return "; ".join(said) or None
@@ -56,16 +74,16 @@ class Coding(NamedTuple):
 
 def coding_of(chunk: bytes | None) -> Coding | None:
     """chunk: the data of cICP. None if there is none, or if it leaves open what the colours are, so that a profile may say it."""
-    if chunk is None or len(chunk) != 4 or (chunk[0] in _UNSPECIFIED and chunk[1] in _UNSPECIFIED):
+    if chunk is None or len(chunk) != 4 or (chunk[0] in UNSPECIFIED and chunk[1] in UNSPECIFIED):
         return None
-    return Coding(chunk[0], chunk[1], bool(chunk[3]))
+    return Coding(transfer=chunk[1], primaries=chunk[0], full=bool(chunk[3]))
 
 
 def converted(image: Image, coding: Coding) -> Image:
     """``image``, decoded, coded as sRGB: RGB, or RGBA if it has alpha, which stays; itself if its colours are used as they are."""
     from PIL import Image as pillow
 
-    if coding.curve == "SDR" and coding.gamut == "BT.709":
+    if coding.is_plain:
         return image
     if image.mode.startswith("I;16"):
         grey = np.asarray(image).astype(np.uint16)

@@ -8,14 +8,10 @@ from typing import Any
 import numpy as np
 
 from ....pipeline import CaptureError
-from ....vision.images.wide_colour import HLG_PEAK, WHITE, Curve, Gamut, to_sdr
+from ....vision.images.coding_points import UNREAD_CURVES, UNREAD_GAMUTS, UNSPECIFIED, CodingPoints
+from ....vision.images.wide_colour import to_sdr
 
 # Values of ITU-T H.273, as FFmpeg gives them.
-_UNSPECIFIED = (0, 2)
-_CURVES: dict[int, Curve] = {16: "PQ", 18: "HLG"}
-_GAMUTS: dict[int, Gamut] = {9: "BT.2020", 11: "P3", 12: "P3"}  # 11, of cinemas, is 12 with a greener white, which is shown as white
-_UNREAD_GAMUTS = {4: "BT.470 M", 8: "film", 10: "CIE XYZ"}
-_UNREAD_CURVES = {8: "linear", 9: "logarithmic", 10: "logarithmic", 17: "SMPTE 428"}
 _UNREAD_MATRICES = {8: "YCgCo", 10: "BT.2020 with constant luminance", 11: "SMPTE 2085", 14: "ICtCp"}
 _BT2020 = 9
 _FULL_RANGE = 2
@@ -23,27 +19,10 @@ _DOLBY_VISION = ("dvh1", "dvhe", "dva1", "dvav", "dav1")
 
 
 @dataclass(frozen=True)
-class Tags:
-    """transfer, primaries, matrix: numbers of H.273; 2 if unspecified."""
+class Tags(CodingPoints):
+    """matrix: another number of H.273; 2 if unspecified."""
 
-    transfer: int = 2
-    primaries: int = 2
     matrix: int = 2
-
-    @property
-    def curve(self) -> Curve:
-        return _CURVES.get(self.transfer, "SDR")
-
-    @property
-    def gamut(self) -> Gamut:
-        if self.primaries in _UNSPECIFIED and self.curve != "SDR":
-            return "BT.2020"
-        return _GAMUTS.get(self.primaries, "BT.709")
-
-    @property
-    def is_plain(self) -> bool:
-        """SDR with the primaries of BT.709 or close to them: the codes are used as they are."""
-        return self.curve == "SDR" and self.gamut == "BT.709"
 
 
 def stream_tags(context: Any) -> Tags:
@@ -57,7 +36,7 @@ def frame_tags(frame: Any, container: Tags) -> Tags:
     given = (container.transfer, container.primaries, container.matrix)
     return Tags(
         *(
-            other if value in _UNSPECIFIED and (k < 2 or value == 2) else value
+            other if value in UNSPECIFIED and (k < 2 or value == 2) else value
             for k, (value, other) in enumerate(zip(own, given, strict=True))
         )
     )
@@ -69,31 +48,28 @@ def colours_told(tags: Tags, name: str, codec_tag: str) -> str | None:
         raise CaptureError(
             f"{name}: colours coded as {_UNREAD_MATRICES[tags.matrix]}, which is not read; convert the video to BT.709 or HLG"
         )
-    if codec_tag in _DOLBY_VISION and tags.transfer in _UNSPECIFIED and tags.matrix in _UNSPECIFIED:
+    if codec_tag in _DOLBY_VISION and tags.transfer in UNSPECIFIED and tags.matrix in UNSPECIFIED:
         raise CaptureError(
             f"{name}: Dolby Vision without an HDR or SDR base (profile 5), which is not read; convert the video to HLG or SDR"
         )
+    converted = tags.conversion("its")
     if tags.curve != "SDR":
-        shown = f", shown at {HLG_PEAK:.0f} cd/m2" if tags.curve == "HLG" else ""
-        return f"HDR ({tags.curve}{shown}, {tags.gamut}) is converted to SDR (sRGB, BT.709); {WHITE:.0f} cd/m2 becomes white"
+        return converted
     said = []
-    if tags.transfer in _UNREAD_CURVES:
+    if tags.transfer in UNREAD_CURVES:
         said.append(
-            f"its transfer curve ({_UNREAD_CURVES[tags.transfer]}) is not converted, so its contrast differs from that of other cameras"
+            f"its transfer curve ({UNREAD_CURVES[tags.transfer]}) is not converted, so its contrast differs from that of other cameras"
         )
-    if tags.primaries in _UNREAD_GAMUTS:
-        said.append(
-            f"its primaries ({_UNREAD_GAMUTS[tags.primaries]}) are not converted, so its colours differ from those of other cameras"
-        )
-    if not tags.is_plain:
-        said.append(f"its wide gamut ({tags.gamut}) is converted to that of sRGB (BT.709); what lies outside is clipped")
+    if tags.primaries in UNREAD_GAMUTS:
+        said.append(f"its primaries ({UNREAD_GAMUTS[tags.primaries]}) are not converted, so its colours differ from those of other cameras")
+    said += [converted] if converted else []
     return "; ".join(said) or None
 
 
 def rgb_of(frame: Any, tags: Tags) -> np.ndarray:
     """The picture as stored, uint8 [H,W,3], SDR with the primaries of BT.709, coded as sRGB."""
     matrix = tags.matrix
-    if matrix in _UNSPECIFIED and not tags.is_plain and tags.gamut == "BT.2020" and not _is_rgb(frame):
+    if matrix in UNSPECIFIED and not tags.is_plain and tags.gamut == "BT.2020" and not _is_rgb(frame):
         matrix = _BT2020
     if matrix != int(frame.colorspace):
         frame.colorspace = matrix
