@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from ...pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, counted, duration, say
 from ...pipeline.files import sizes
 from ...pipeline.names import composed
 from ...pipeline.records import differences
 from ..last_run import scene_of
+from ..machine.terminal import make_console
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
 from ..reconstruction import reconstruction
@@ -26,7 +26,6 @@ from .table import fitted
 
 SHORT = 12  # digits of a key or digest that are shown in tables
 TITLES = ("stage", "key", "size", "took", "memory", "made", "scenes", "pins")
-WIDTH = 180  # columns of a table written to a file or pipe
 
 Json = Annotated[bool, typer.Option("--json", help="As JSON.")]
 
@@ -53,8 +52,7 @@ def list_(
         row |= {"took": duration(facts["seconds"] or 0.0), "memory": f"{facts['peak_rss_mb'] or 0.0:.0f} MB", "age": age(row["made"])}
         row |= {"scenes": ", ".join(stored.scenes), "pins": ", ".join(pinned.get((stored.stage, stored.key), ()))}
         rows.append(row)
-    console = Console()
-    console = console if console.is_terminal else Console(width=WIDTH)
+    console = make_console()
     table, missing = fitted(rows, TITLES, console.width)
     console.print(table)
     say(f"{counted(len(found), 'result')}, {megabytes(sum(stored.size for stored in found))}")

@@ -9,6 +9,7 @@ from typing import Any
 from ....pipeline import CaptureError
 from ....vision.depth.files import SUFFIXES
 from .. import checks
+from ..posed.finding import is_absolute
 from ..reading import Shot
 
 DEPTH = ("depth_file_path", "depth_path")  # nerfstudio; instant-ngp and NeRFCapture
@@ -60,14 +61,10 @@ def _inside(root: Path, raw: str, field: str, suffixes: Sequence[str] = ("",)) -
         return _file(root, checks.relative(root, name, field), field, suffixes)
     except CaptureError:
         parts = [part for part in name.split("/") if part not in ("", ".")]
-        if not _is_absolute(name) or ".." in parts or len(name) > _LONGEST:
+        if not is_absolute(name) or ".." in parts or len(name) > _LONGEST:
             raise
         ends = ("/".join(parts[cut:]) for cut in range(1, len(parts)))
         return next((path for end in ends if (path := _file(root, end, field, suffixes))), None)
-
-
-def _is_absolute(name: str) -> bool:
-    return name.startswith("/") or name[1:3] == ":/"
 
 
 def _file(root: Path, name: str, field: str, suffixes: Sequence[str]) -> str | None:

@@ -62,7 +62,7 @@ class _Search:
     def as_named(self) -> None:
         for i, (raw, where) in self.names.items():
             name = raw.replace("\\", "/")
-            absolute = _absolute(name)
+            absolute = is_absolute(name)
             try:
                 relative = checks.relative(self.root, name, where) if absolute else self.beside + name
             except CaptureError as error:
@@ -85,7 +85,7 @@ class _Search:
             parts = posixpath.normpath(raw.replace("\\", "/")).split("/")
             for cut in range(1, len(parts) if len(raw) <= _LONGEST else 1):
                 end = "/".join(parts[cut:])
-                path = checks.seek_image(self.root, end, where) if not _absolute(end) else None
+                path = checks.seek_image(self.root, end, where) if not is_absolute(end) else None
                 path = path or (self.folder.in_another_form(end) if not end.isascii() else None)
                 if path is not None:
                     self.found[i] = path
@@ -121,7 +121,7 @@ class _Search:
         total, notes = len(self.names), []
         if self.gone:
             raw, where = self.names[self.gone[0]]
-            first = f"{where}: no image {(self.beside + raw if not _absolute(raw) else raw)[:200]!r}"
+            first = f"{where}: no image {(self.beside + raw if not is_absolute(raw) else raw)[:200]!r}"
             places = self.folder.named(raw)[:3]
             if places:
                 first += f", but {' and '.join(places)} {'have' if len(places) > 1 else 'has'} its name"
@@ -196,7 +196,8 @@ def left_out(names: Sequence[str], total: int, words: str) -> str:
     return f"{len(names)} of {total} {words}; first {names[0]}"
 
 
-def _absolute(name: str) -> bool:
+def is_absolute(name: str) -> bool:
+    """Also by the rules of Windows. name: with `/` between folders."""
     return name.startswith("/") or re.match(r"^[A-Za-z]:", name) is not None
 
 
