@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +34,7 @@ ARRAYS = {  # name: unit, what it is, for readers of the file
     "point_colors": ("", "RGB of points"),
 }
 LISTS = ("files", "mask_files", "keep_files", "keep_turns", "depth_files", "depth_confidence_files", "origin", "K_hint")
+OF_CAPTURE = ("watermark", "points", "point_colors", "origin", "K_hint", "next")  # the others of these have one row a frame
 
 
 @dataclass(frozen=True)
@@ -41,13 +42,17 @@ class DecodedPictures:
     """Pictures of videos by frame index, uint8 [H, W, 3] RGB, not undistorted. Any thread may read."""
 
     artifact: Artifact
+    chosen: np.ndarray | None = None  # numbers of the frames that count, in their order; None: all
 
     def __getitem__(self, i: int) -> np.ndarray:
-        return np.asarray(self._array[i])
+        return np.asarray(self._array[self._number(i)])
 
     def digest(self, i: int) -> str:
         """Digest of the stored picture of frame i, which is one chunk. The picture itself is not read."""
-        return self.artifact.manifest["files"][f"{_IMAGES}/c/{i}/0/0/0"][1]
+        return self.artifact.manifest["files"][f"{_IMAGES}/c/{self._number(i)}/0/0/0"][1]
+
+    def _number(self, i: int) -> int:
+        return i if self.chosen is None else int(self.chosen[i])
 
     @cached_property
     def _array(self) -> zarr.Array:
@@ -96,6 +101,15 @@ class StoredFrames:
         lists = {name: getattr(self, name) for name in LISTS}
         out.attrs.update({name: list(values) for name, values in lists.items() if values is not None})
         out.info["notes"] = list(notes)
+
+    def only(self, chosen: np.ndarray) -> StoredFrames:
+        """The frames ``chosen`` [n], which have no `next`. What is about the whole capture stays, `facts` too."""
+        changed: dict[str, Any] = {"next": np.full(len(chosen), -1, np.int32)}
+        for name in {"names", *ARRAYS, *LISTS} - set(OF_CAPTURE):
+            values = getattr(self, name)
+            if values is not None:
+                changed[name] = values[chosen] if isinstance(values, np.ndarray) else [values[int(i)] for i in chosen]
+        return replace(self, **changed, images=None if self.images is None else replace(self.images, chosen=chosen))
 
     @classmethod
     def read(cls, artifact: Artifact) -> StoredFrames:

@@ -12,6 +12,7 @@ LABELS = {
     "turning": "how the camera turns",
     "mapping": "registering",
     "moving": "moving objects",
+    "between": "frames between",
     "verify": "matches off moving pixels",
 }
 

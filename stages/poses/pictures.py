@@ -49,7 +49,7 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     with ctx.progress(len(frames), "pictures") as progress:
         for i in range(len(frames)):
             suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
-            names.append(f"{i:06d}{suffix}")
+            names.append(f"{frames.number[i]:06d}{suffix}")
             target = folder / names[-1]
             if not target.exists():
                 target.unlink(missing_ok=True)  # a dangling link, whose target has moved
@@ -64,7 +64,7 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
 
 def write_picture(frames: FrameSet, i: int, folder: Path) -> str:
     """Writes the picture of frame ``i`` as PNG and returns its name. An existing file is kept."""
-    target = folder / f"{i:06d}.png"
+    target = folder / f"{frames.number[i]:06d}.png"
     if not target.exists():
         _save(frames, i, target)
     return target.name
@@ -78,7 +78,7 @@ def write_masks(ctx: Context, frames: FrameSet) -> Path:
     for i in range(len(frames)):
         kept = frames.kept(i)
         if kept is not None:
-            Image.fromarray(np.where(kept, 255, 0).astype(np.uint8)).save(folder / f"{i:06d}.png.png", compress_level=1)
+            Image.fromarray(np.where(kept, 255, 0).astype(np.uint8)).save(folder / f"{frames.number[i]:06d}.png.png", compress_level=1)
     return folder
 
 

@@ -1,27 +1,26 @@
-"""The work of `poses`: structure from motion on the capture's pictures, in passes of the worker process."""
+"""The work of `poses`: structure from motion on the capture's pictures, and what is said and written about its result."""
 
 from __future__ import annotations
+
+from contextlib import closing
 
 import numpy as np
 
 from ...pipeline import Context, StageError
 from ...vision.sfm.coverage import cover
 from ...vision.sfm.fixed_cameras import SHAKEN, is_fixed
-from ...vision.sfm.pairs import choose, image_pairs
 from ...vision.sfm.pose_agreement import doubtful
-from ...vision.sfm.runner import WorkerError, finished, run_worker
 from ...vision.sfm.trouble import nothing_registered
 from ..facts import Facts
 from ..shared.frameset import FrameSet
 from .artifact import write_account
 from .bars import Bars
-from .pictures import lens_groups, picture_folder, write_images, write_masks, write_picture
-from .second_pass import second_pass
+from .pictures import picture_folder, write_picture
 from .several import Several, several_cameras
+from .solve import solve
+from .sparsely import solve_sparsely
 from .standing import write_standing
 from .write import write_poses
-
-INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees, least triangulation angle of the initial image pair; tried in order, from good to last resort
 
 
 def pose_capture(ctx: Context) -> None:
@@ -30,55 +29,17 @@ def pose_capture(ctx: Context) -> None:
     artifact = ctx.inputs["frames"]
     assert artifact is not None
     frames = FrameSet(artifact, ctx.capture.root)
-    matcher = choose(settings.matcher, len(frames), static)
-    hint = frames.K_hint
     one_camera = len(np.unique(frames.camera)) == 1
     if one_camera and is_fixed(frames.original, [int(i) for i in np.argsort(frames.time, kind="stable")], SHAKEN):
         write_standing(ctx, frames)
         return
     several = None if one_camera or static else _several(ctx, frames)
-    request = {
-        "task": "reconstruct",
-        "root": str(ctx.checkpoints / "images"),
-        "names": [] if several else write_images(ctx, frames),
-        "cameras": lens_groups(frames),
-        "K_hint": None if hint is None else np.asarray(hint, np.float64).reshape(3, 3).tolist(),
-        "keep": str(write_masks(ctx, frames)) if frames.masked else None,
-        "width": frames.width,
-        "height": frames.height,
-        "camera_model": settings.camera_model,
-        "max_features": settings.max_features,
-        "pairs": [] if several else image_pairs(matcher, len(frames), settings.overlap),
-        "mapper": settings.mapper,
-        "init_angles": INIT_ANGLES,
-        "static": static,
-        "seed": settings.seed,
-        **(several.request if several else {}),
-    }
-    bars, folder = Bars(ctx), ctx.checkpoints / "colmap"
-    share, told = None, "poses.moving=off"
-    try:
-        arrays, facts = finished(request, folder) or run_worker(request, folder, bars)
-        if several and several.looks.fixed:
-            told = "cameras that stand still are matched only at equal times, when moving objects are as useful as static ones"
-        elif settings.moving:
-            passes = second_pass(frames, request, folder, (arrays, facts), static, bars)
-            arrays, facts, share, told = passes.arrays, passes.facts, passes.moving_share, passes.told
-            if passes.trouble:
-                ctx.log(passes.trouble)
-    except WorkerError as error:
-        # The next run must not resume from these databases: one of them may be the cause of the failure.
-        for database in folder.glob("*.db"):
-            database.unlink(missing_ok=True)
-        raise StageError(str(error)) from error
-    finally:
-        bars.close()
-
-    if several:
-        arrays, facts = several.of_frames(frames, arrays, facts)
+    with closing(Bars(ctx)) as bars:
+        found = solve_sparsely(ctx, artifact, frames, bars) if one_camera and not static else solve(ctx, frames, several, bars)
+    arrays, facts = found.arrays, found.facts
     residuals = arrays["residuals"]
     if arrays["registered"].sum() < min(3, len(frames)) or not len(residuals):
-        raise StageError(nothing_registered(len(frames), facts["features"], facts["pairs"], matcher))
+        raise StageError(nothing_registered(len(frames), facts["features"], facts["pairs"], found.matcher))
     mean_error, median_error = float(residuals.mean()), float(np.median(residuals))
     angle = float(np.median(arrays["angles"]))
     # If the camera only turns, a note already says so, and small angles need no further advice.
@@ -86,12 +47,12 @@ def pose_capture(ctx: Context) -> None:
     unsure = np.zeros(len(frames), bool) if several else doubtful(arrays)
     if several:
         write_account(ctx.out, fixed_cameras=several.looks.all_fixed)
-    coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged, unsure)
+    coverage = cover(arrays["registered"], facts["features"], facts["parts"], found.matcher, mean_error, judged, unsure)
     ctx.log(f"{coverage.summary()}, mean reprojection error {mean_error:.2f} px, median {median_error:.2f} px")
     for sentence in facts["notes"]:
         ctx.log(sentence)
     if settings.moving:
-        ctx.log(f"moving objects: {told}")
+        ctx.log(f"moving objects: {found.told}")
     for sentence in coverage.advice:
         ctx.log(sentence)
     write_poses(ctx, frames, arrays, coverage)
@@ -102,9 +63,9 @@ def pose_capture(ctx: Context) -> None:
         median_angle=angle,
         parts=facts["parts"],
         notes=facts["notes"],
-        matcher=matcher,
-        moving_share=None if share is None else round(share, 4),
-        second_pass=told,
+        matcher=found.matcher,
+        moving_share=None if found.moving_share is None else round(found.moving_share, 4),
+        second_pass=found.told,
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ...pipeline import Applies, Context, Resources, Stage, thread_count
-from ...vision.sfm.pairs import MATCHERS, STRONGEST, choose, enlarged, image_pairs, many
+from ...vision.sfm.pairs import MATCHERS, STRONGEST, choose, enlarged, image_pairs, key_frames, many
 from ..facts import Facts
 from .settings import PosesSettings
 
@@ -29,14 +29,16 @@ class Poses(Stage):
             )
         again = "" if not settings.moving or known.static else "; a second pass if moving objects could disturb the cameras"
         still = "" if known.cameras > 1 else ", unless the camera stands still"
-        return Applies.yes(f"structure from motion on {known.frames} frames{still}{again}")
+        keys = len(key_frames(known.frames)) if known.cameras == 1 and not known.static else known.frames
+        some = f"{known.frames}" if keys == known.frames else f"{keys} of {known.frames}"
+        return Applies.yes(f"structure from motion on {some} frames{still}{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
         """Measured on one core: features 0.1 s + 1.3 s per megapixel (0.35 s where pictures are not enlarged), 0.1 s per pair, 0.9 s to
         register an image (half if the camera only turns), 0.2 s to adjust it, 0.15 s to find moving objects, 8 s for the start and the
         test whether the camera only turns. A second pass is not counted; it takes the time of registering once more and a third of the
         pairs' time. Several cameras are assumed to stand still, as most do. Among `many` frames, on two cores: features 0.05 s + 0.3 s
-        per megapixel, and 0.02 s per pair and thousand features."""
+        per megapixel, and 0.02 s per pair and thousand features. A frame between key frames takes 0.1 s per megapixel."""
         from ...vision.sfm.looks import look_times
 
         known = Facts.of(facts)
@@ -47,6 +49,10 @@ class Poses(Stage):
             cameras, times = known.cameras, look_times(known.cameras, known.times)
             features, pairs = cameras * times * features, times * cameras * (cameras - 1) / 2
             return 10 + features + 0.2 * pairs + 2.0 * cameras
+        between = 0
+        if known.cameras == 1 and not known.static:
+            frames = len(key_frames(known.frames))
+            between = known.frames - frames
         lean = many(frames, known.static)
         pairs = len(image_pairs(choose(settings.matcher, frames, known.static), frames, settings.overlap))
         looked = 0.15 if settings.moving and not known.static else 0.0
@@ -54,7 +60,7 @@ class Poses(Stage):
             features, per_pair = 0.05 + 0.3 * known.width * known.height / 1e6, 2e-5 * (settings.max_features or STRONGEST)
         else:
             per_pair = 0.1
-        return 8 + frames * (1.1 + looked + features) + per_pair * pairs
+        return 8 + frames * (1.1 + looked + features) + per_pair * pairs + 0.1 * between * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:
         from ..estimates import GB_OF_A_MATCHER, GB_OF_PYTHON, picture_resources

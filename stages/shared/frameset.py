@@ -24,7 +24,8 @@ class FrameSet:
     """Frames of a capture: fields of the `frames` artifact, and pictures undistorted to the pinhole camera K.
 
     frames: the `frames` artifact. root: the capture's folder, for pictures in files. poses: the `poses` artifact, whose K,
-    cam_from_world, distortion and points replace the capture's.
+    cam_from_world, distortion and points replace the capture's. chosen [n]: numbers of the frames that count, of a capture without
+    ``poses``; all if not given.
 
     camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 if none); K [F,3,3] float64 px and
     cam_from_world [F,4,4] float64 (OpenCV), None without poses; registered [F] bool; points [P,3] float64 and
@@ -38,11 +39,14 @@ class FrameSet:
     whole.
     fixed_cameras: no camera moves, according to the files or the pictures. stands_still: nor is there more than one.
     train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
+    number [F]: of each frame in the capture, which differs from its index here if only some were chosen.
     Pictures may be read from several threads at once; they are not cached here.
     """
 
-    def __init__(self, frames: Artifact, root: Path, poses: Artifact | None = None) -> None:
+    def __init__(self, frames: Artifact, root: Path, poses: Artifact | None = None, chosen: np.ndarray | None = None) -> None:
         stored, solved = StoredFrames.read(frames), None if poses is None else StoredPoses.read(poses)
+        stored = stored if chosen is None else stored.only(chosen)
+        self.number = np.arange(len(stored.camera)) if chosen is None else np.asarray(chosen)
         source, facts = solved or stored, stored.facts
         self.root = Path(root)
         self.width, self.height = facts.width, facts.height

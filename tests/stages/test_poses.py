@@ -13,6 +13,7 @@ from e4dgs.stages.poses.stage import Poses
 from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.sfm import runner
 from e4dgs.vision.sfm.alignment import camera_centres, pose_error, similarity
+from e4dgs.vision.sfm.between.pose_between import spread
 from e4dgs.vision.sfm.coverage import cover, runs, spans
 from e4dgs.vision.sfm.pairs import choose, image_pairs
 from e4dgs.vision.sfm.world import MEDIAN_DISTANCE, keep_points, normalise
@@ -89,6 +90,26 @@ def test_a_second_run_gives_the_same_bits(solved, room, tmp_path):
     for name in solved.artifact.names():
         assert np.array_equal(solved.artifact.read(name), again.artifact.read(name), equal_nan=name in ("K", "cam_from_world")), name
     assert solved.artifact.attrs == again.artifact.attrs
+
+
+def test_frames_between_key_frames_are_as_exact(room, truth, tmp_path, monkeypatch):
+    monkeypatch.setattr("e4dgs.vision.sfm.pairs.MOST_KEYS", 5)  # every second frame
+    sparse = run_poses(room.root, tmp_path)
+    assert sparse.artifact.read("registered").tolist() == [True] * FRAMES + [False]
+    error = pose_error(sparse.artifact.read("cam_from_world")[:FRAMES], truth)
+    assert error["percent"] < 0.5
+    assert error["rotation_degrees"] < 0.5
+    assert "used 5 frames; its points posed 4 of the 5 frames between them" in sparse.artifact.attrs["notes"][-1]
+
+
+def test_if_key_frames_pose_too_few_all_frames_are_used(solved, room, tmp_path, monkeypatch):
+    def none(frames, arrays, count, picture, advance):
+        return spread(frames, {**arrays, "registered": np.zeros(len(frames), bool)}, count)
+
+    monkeypatch.setattr("e4dgs.vision.sfm.pairs.MOST_KEYS", 5)
+    monkeypatch.setattr("e4dgs.stages.poses.sparsely.pose_between", none)
+    whole = run_poses(room.root, tmp_path)
+    np.testing.assert_array_equal(whole.artifact.read("cam_from_world"), solved.artifact.read("cam_from_world"))
 
 
 def test_a_killed_run_keeps_its_features(solved, tmp_path):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 EXHAUSTIVE_LIMIT = 40  # images; 780 pairs
 OVERLAP = 4  # following images that each image is matched with, besides those at distances of powers of two up to LONGEST
 LONGEST = 64
 SMALL = 1200  # px; frames whose longer side is shorter are enlarged for features
 MANY = 100  # images; in a longer sequence each feature is seen so often that fewer of them determine the cameras as well
+MOST_KEYS = 200  # frames of a sequence; of more, most are so near another that they add no point
 MATCHERS = 8  # most processes that match; each has a copy of the features
 MOST, STRONGEST = 8192, 3000  # features of an image; of one among many
 KEYFRAMES, FEWER_KEYFRAMES = 24, 16  # images spread over a sequence that are all matched with one another, to close loops; fewer among many
@@ -34,6 +37,12 @@ def image_pairs(matcher: str, images: int, overlap: int = OVERLAP) -> list[tuple
     keys = range(0, images, stride)
     pairs |= {(a, b) for a in keys for b in keys if a < b}
     return sorted(pairs)
+
+
+def key_frames(images: int) -> np.ndarray:
+    """Numbers of the frames of a sequence that structure from motion uses: all, or of more than `MOST_KEYS` every so many-th. `between/`
+    poses the others."""
+    return np.arange(0, images, max(1, -(-images // MOST_KEYS)))
 
 
 def many(images: int, static: bool) -> bool:

@@ -84,6 +84,7 @@ def _arrays(turning: Turning, request: dict[str, Any], width: int, height: int) 
     arrays["tracks"] = np.bincount(point)
     arrays["errors"] = np.bincount(point, error) / arrays["tracks"]
     arrays["residuals"], arrays["seen"], arrays["seen_xy"] = error, frame.astype(np.int32), xy.astype(np.float32)
+    arrays["track_frame"], arrays["track_xy"] = arrays["seen"], arrays["seen_xy"]
     arrays["angles"] = _angles(arrays["points"], camera_centres(poses), point, frame)
     arrays["colors"] = _colors(Path(request["root"]), names, point, frame, xy, len(arrays["points"]))
     return arrays

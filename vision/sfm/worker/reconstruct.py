@@ -34,6 +34,7 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
     Returns arrays `registered` [n] bool, `K` [n,3,3], `cam_from_world` [n,4,4] (NaN where not registered), `distortion` [n,4]
     (k1 k2 p1 p2), `size` [n,2] (width, height of the file), `points` [P,3], `colors` [P,3] uint8, `errors` [P] px, `tracks` [P]
     (views of each point), `angles` [P] degrees (between its outermost rays), `residuals` [R] px (reprojection error of every observation),
+    `track_frame` [R] int32 and `track_xy` [R,2] float32 px (image and feature of every observation, in the order of the points),
     `seen` [O] int32 and `seen_xy` [O,2] float32 px (image and position of every feature that was adjusted), `explained` [n] (of
     `pose_agreement`; absent if the camera turns). None of them contains what no camera can have seen (`purge`). Facts: `parts` (disjoint,
     see `parts`), `features` [n], `pairs` (facts of `Survey`), `turning` (whether `turning/` found the cameras), `notes` (sentences about

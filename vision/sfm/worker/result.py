@@ -28,6 +28,8 @@ def result_arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> di
         "seen_xy": np.zeros((0, 2), np.float32),
         **{name: np.zeros(0) for name in ("errors", "angles", "residuals")},
         "tracks": np.zeros(0, np.int64),
+        "track_frame": np.zeros(0, np.int32),
+        "track_xy": np.zeros((0, 2), np.float32),
     }
     if model is None:
         return arrays
@@ -51,7 +53,8 @@ def result_arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> di
     arrays["errors"] = np.add.reduceat(seen.error, starts) / (ends - starts)
     arrays["angles"] = angles(seen, np.ones(len(seen.error), bool))
     arrays["residuals"] = seen.error
-    return {**arrays, **used_features(model, names)}
+    used = used_features(model, names)
+    return {**arrays, **used, "track_frame": used["seen"], "track_xy": used["seen_xy"]}
 
 
 def used_features(model: pycolmap.Reconstruction, names: list[str]) -> dict[str, np.ndarray]:

@@ -1,0 +1,1 @@
+"""Poses of the frames between those that structure from motion used."""
