@@ -7,10 +7,18 @@ import numpy as np
 from ...vision.sequences import camera_sequences
 from ..shared.frameset import FrameSet
 
+MOST, MOST_OF_ONE = 400, 600  # pairs of several cameras, which thin out well; and of one, whose tracks end where a pair is missing
 
-def choose_pairs(frames: FrameSet, limit: int) -> list[int]:
+
+def most_pairs(given: int | None, cameras: int) -> int:
+    """Most pairs of a capture: as ``given``, or as is usual for so many cameras."""
+    return given if given is not None else MOST_OF_ONE if cameras == 1 else MOST
+
+
+def choose_pairs(frames: FrameSet, most: int | None) -> list[int]:
     """Training frames whose successor in the same camera is a training frame too, sorted by camera and time, evenly thinned to
-    ``limit``."""
+    ``most_pairs``."""
+    limit = most_pairs(most, len(np.unique(frames.camera)))
     usable = {int(i) for i in frames.train}
     pairs = [i for mine in camera_sequences(frames.camera, frames.time, usable).values() for i in mine if int(frames.next[i]) in usable]
     if len(pairs) <= limit:

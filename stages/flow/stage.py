@@ -13,7 +13,7 @@ from ...pipeline import Applies, Context, Given, Resources, Stage, counted
 from ...vision.flow.method import choice, size_within
 from ..facts import Facts
 from ..shared.frameset import FrameSet
-from .choose_pairs import choose_pairs
+from .choose_pairs import choose_pairs, most_pairs
 from .settings import FlowSettings
 
 SMALL_WEIGHTS = 10_000_000  # bytes; the weights file of the small network has 4 MB, that of the basic one 21 MB
@@ -38,10 +38,9 @@ class Flow(Stage):
         if known.pairs == 0:
             return Applies.no("every image has its own camera: no two frames of one camera to compare")
         means = choice(settings.method, settings.weights)[1]
-        if known.pairs > settings.max_pairs:
-            return Applies.yes(
-                f"{settings.max_pairs} of {counted(known.pairs, 'pair')} of neighbouring frames of one camera (flow.max_pairs); {means}"
-            )
+        most = most_pairs(settings.max_pairs, known.cameras)
+        if known.pairs > most:
+            return Applies.yes(f"{most} of {counted(known.pairs, 'pair')} of neighbouring frames of one camera (flow.max_pairs); {means}")
         return Applies.yes(f"{counted(known.pairs, 'pair')} of neighbouring frames of one camera; {means}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FlowSettings) -> float | None:
@@ -58,7 +57,7 @@ class Flow(Stage):
                 small = settings.weights.stat().st_size < SMALL_WEIGHTS
             encoding, step = (0.9, 0.22) if small else (3.3, 0.5)
             each = encoding + 2 * step * min(settings.iterations, 14 if settings.tolerance else 100)
-        pairs = min(known.pairs, settings.max_pairs)
+        pairs = min(known.pairs, most_pairs(settings.max_pairs, known.cameras))
         measured = pairs if known.new_items is None else min(pairs, known.new_items)
         moving = (0.012 if known.fixed_cameras else 0.02) if settings.moving else 0.0
         return (

@@ -12,6 +12,7 @@ import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from factory import Options, make, write_colmap, write_nerfstudio
+from factory.writers import write_mp4
 from PIL import Image
 
 
@@ -368,6 +369,13 @@ def test_video_frames_are_thinned_and_it_is_said(video_capture):
     assert recognise(video_capture.root, every=5).names == ("clip.mp4#0", "clip.mp4#5", "clip.mp4#10")
     capture = recognise(video_capture.root, max_frames=5)
     assert capture.facts["frames"] == 4 and "4 of 12" in capture.notes[0]
+
+
+@pytest.mark.parametrize(("frames", "static", "taken"), [(600, False, 600), (601, False, 301), (600, True, 200), (601, True, 151)])
+def test_a_clip_in_which_things_move_keeps_more_frames(frames, static, taken, tmp_path):
+    grey = np.random.default_rng(0).integers(0, 255, (32, 32, 3)).astype(np.uint8)
+    write_mp4(tmp_path / "clip.mp4", (grey for _ in range(frames)), 30.0)
+    assert recognise(tmp_path / "clip.mp4", static=static).facts["frames"] == taken
 
 
 def test_max_size_scales_intrinsics(nerfstudio_capture, images_capture):

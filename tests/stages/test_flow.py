@@ -292,6 +292,16 @@ def test_pairs_are_thinned_evenly_and_skip_held_out_frames():
     assert choose_pairs(frames, 0) == []
 
 
+@pytest.mark.parametrize(("cameras", "pairs"), [(1, 600), (2, 400)])
+def test_one_camera_keeps_more_pairs_than_a_rig(cameras, pairs):
+    count = 700
+    camera = np.repeat(np.arange(cameras), count // cameras)
+    last = np.append(np.diff(camera) > 0, True)
+    frames = frameset(camera, np.tile(np.linspace(0, 1, count // cameras), cameras), np.where(last, -1, np.arange(count) + 1), range(count))
+    assert len(choose_pairs(frames, None)) == pairs
+    assert len(choose_pairs(frames, 650)) == 650
+
+
 def test_one_frame_has_no_pair():
     assert choose_pairs(frameset([0], [0.0], [-1], [0]), 10) == []
 

@@ -13,9 +13,9 @@ from ..reading import Options, Reading, Shot, Video
 from ..video.decode import decode
 from ..video.probe import Header, probe, told_together
 
-__all__ = ["DEFAULT_MAX_FRAMES", "Header", "choose", "decode", "detect", "probe", "read", "refuse_one"]
+__all__ = ["MOST_FRAMES", "Header", "choose", "decode", "detect", "probe", "read", "refuse_one"]
 
-DEFAULT_MAX_FRAMES = 200
+MOST_FRAMES, MOST_OF_MOVING = 200, 600  # of a camera; of one that moves while other things do: what moves is a blur between its frames
 
 
 def detect(root: Path) -> str | None:
@@ -31,7 +31,7 @@ def read(root: Path, options: Options) -> Reading:
     checks.resolve_inside(base, path.name, path.name)
     header = probe(base, path.name)
     total = len(header.seconds)
-    taken = choose(total, options, DEFAULT_MAX_FRAMES)
+    taken = choose(total, options, MOST_FRAMES if options.static else MOST_OF_MOVING)
     if total < 2:
         raise CaptureError(f"{path.name}: one frame alone has no pose and no depth; pass a longer video of the scene")
     refuse_one(path.name, taken, total, options)

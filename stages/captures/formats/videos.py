@@ -160,7 +160,7 @@ def _shared(
         fresh[1:] &= np.diff(indices) > 0
     kept = np.flatnonzero(fresh)
     # A static scene needs a pose for every frame and matches between all of them, so all videos together get as many frames as one alone.
-    limit = video.DEFAULT_MAX_FRAMES // (len(names) if options.static else 1)
+    limit = video.MOST_FRAMES // (len(names) if options.static else 1)
     kept = kept[list(video.choose(len(kept), options, max(2, limit)))] if len(kept) else kept
     if len(kept) < 2:
         raise CaptureError(
