@@ -5,7 +5,9 @@ session, so tests only read them; who wants to damage a capture copies it first 
 or makes an own one with `factory.make` and a writer.
 """
 
+import gc
 import sys
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -41,6 +43,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="which kernels the tests of tests/stress hold against the reference; cuda: on a GPU where there is one, else emulated; "
         "and compile the CUDA kernels for every architecture",
     )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
+    """Hundreds of modules and thousands of tests stay to the end. The garbage collector would look at all of them again and again, both
+    while they come and, unless they are frozen, in every test that makes many objects."""
+    gc.disable()
+    try:
+        result = yield
+    finally:
+        gc.enable()
+    gc.collect()
+    gc.freeze()
+    return result
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
