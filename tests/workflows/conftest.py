@@ -1,7 +1,11 @@
 """The command line on a toy reconstruction: `cli("run", "all", path)` returns exit code, output and errors."""
 
+import fcntl
+import os
+import shutil
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,12 +58,22 @@ def capture(tmp_path) -> Path:
 
 @pytest.fixture(scope="session")
 def finished_run(dnerf_capture, tmp_path_factory):
-    """A tiny capture and the workspace in which it was reconstructed; others add to the workspace and take nothing away."""
+    """A tiny capture and the workspace in which it was reconstructed; others add to the workspace and take nothing away. Several processes
+    of the tests reconstruct it once, and each has a copy of the workspace."""
     from e4dgs.workflows.cli import main
 
-    workspace = tmp_path_factory.mktemp("finished") / "workspace"
-    assert main(["run", "all", str(dnerf_capture.root), "--workspace", str(workspace), *tiny_run.QUICK]) == 0
-    return dnerf_capture, workspace
+    own = tmp_path_factory.getbasetemp()
+    made = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "made"
+    capture, workspace, whole = made / dnerf_capture.root.name, made / "workspace", made / "whole"
+    made.mkdir(exist_ok=True)
+    with (made / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not whole.exists():
+            shutil.copytree(dnerf_capture.root, capture, dirs_exist_ok=True)
+            assert main(["run", "all", str(capture), "--workspace", str(workspace), *tiny_run.QUICK]) == 0
+            whole.touch()
+    copy = shutil.copytree(workspace, tmp_path_factory.mktemp("finished") / "workspace", symlinks=True)
+    return replace(dnerf_capture, root=capture), copy
 
 
 @pytest.fixture(scope="session")
