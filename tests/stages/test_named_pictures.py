@@ -189,3 +189,24 @@ def test_of_equal_names_the_one_with_the_longest_end_is_meant(root, written, hea
 def test_lists_may_be_absolute_where_frames_are_relative(root):
     edit(root, lambda data: data.update(test_filenames=[f"{root}/{f['file_path']}" for f in data["frames"][:3]]))
     np.testing.assert_array_equal(recognise(root).split, [2] * 3 + [0] * 9)
+
+
+@pytest.mark.parametrize("change", [str.upper, lambda suffix: ".jpg"])
+def test_names_with_another_suffix_than_the_files_are_read(root, written, change):
+    rename(root, lambda path: path.replace(".png", change(".png")))
+    capture = recognise(root)
+    assert_truth(capture, written)
+    (note,) = capture.notes
+    assert "12 of 12 frames of transforms.json have other capital letters or another suffix" in note
+
+
+def test_a_file_of_another_suffix_does_not_take_the_place_of_a_deleted_picture(root, written):
+    (root / "images/004.png").unlink()
+    Image.new("L", (40, 32), 255).save(root / "images/004.jpg")
+    assert_truth(recognise(root), written, left=(4,))
+
+
+def test_one_file_is_never_two_pictures_that_differ_in_capital_letters(root, written):
+    (root / "images/004.png").rename(root / "images/A.png")
+    edit(root, lambda data: [data["frames"][i].update(file_path=f"images/{name}.png") for i, name in ((4, "a"), (5, "A"))])
+    assert_truth(recognise(root), written, left=(4,))

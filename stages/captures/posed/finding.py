@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 import posixpath
 import re
-import unicodedata
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 from ....pipeline import CaptureError
 from .. import checks
+from ..listing.names import is_image
+from .pictures_by_name import Pictures, stem_of
 
-_MOST_LISTED = 500_000  # pictures of a capture that are looked through for one that is not where it should be
 _LONGEST = 4096
 _NO_COLOUR = re.compile(r"(^|/)(masks?|segs?|segmentation|depths?|normals?|covisible|conf(idence)?|flow)/", re.IGNORECASE)
 
@@ -35,13 +33,15 @@ def find_pictures(root: Path, names: Mapping[int, tuple[str, str]], file: str, w
     """The picture of each of ``names`` (name as in ``file``, words that say where it stands), relative to ``beside``, a prefix.
 
     A picture is looked for as it is named; under another Unicode form of its name; if the path is absolute, inside the capture and by the
-    end of the path; and by its name alone, if only one picture has it, in a folder that holds no counterpart of the others (so that
-    no mask or depth map takes the place of a deleted picture). Every kind of repair is counted in a note. Entries without a
-    picture are left out and counted. Raises CaptureError if these are more than half, and for paths that leave the capture.
+    end of the path; with other capital letters or another suffix; and by its name alone, if only one picture has it, in a folder that
+    holds no counterpart of the others (so that no mask or depth map takes the place of a deleted picture). Every kind of repair is counted
+    in a note. Entries without a picture are left out and counted. Raises CaptureError if these are more than half, and for paths that leave
+    the capture.
     """
     search = _Search(root, dict(names), beside)
     search.as_named()
     search.by_ends_of_absolute_paths()
+    search.in_another_spelling()
     search.by_name_alone()
     return search.result(file, what)
 
@@ -57,6 +57,7 @@ class _Search:
     heads: set[str] = field(default_factory=set)  # what was cut off absolute paths whose ends lie in the capture
     other_form: list[int] = field(default_factory=list)
     ends: list[int] = field(default_factory=list)
+    spelled: list[int] = field(default_factory=list)
     moved: list[int] = field(default_factory=list)
 
     def as_named(self) -> None:
@@ -100,17 +101,37 @@ class _Search:
                 raise CaptureError(f"{error}; no picture of the capture, or more than one, has the end of this path") from error
             self.gone.append(i)
 
+    def in_another_spelling(self) -> None:
+        """`a.JPG` for `a.jpg`, since not all systems tell them apart; and `a.png` if all pictures of a folder were converted: where some
+        are still there as they are named, a file with another suffix may be a mask or a depth map."""
+        if not self.gone:
+            return
+        as_named = {_kind_of_name(self.beside + self.names[i][0]) for i in self.found}
+        taken = set(self.found.values())
+        chosen = {}
+        for i in self.gone:
+            name = self.beside + self.names[i][0].replace("\\", "/")
+            places = self.folder.in_another_case(name)
+            if not places and is_image(name) and _kind_of_name(name) not in as_named:
+                places = self.folder.with_another_suffix(name)
+            if len(places) == 1 and places[0] not in taken:
+                chosen[i] = places[0]
+        counts = Counter(chosen.values())
+        self.spelled = [i for i, path in chosen.items() if counts[path] == 1]
+        self.found |= {i: chosen[i] for i in self.spelled}
+        self.gone = sorted(set(self.gone) - set(self.spelled))
+
     def by_name_alone(self) -> None:
         if not self.gone:
             return
-        stems = {_stem(path) for path in self.found.values()}
+        stems = {stem_of(path) for path in self.found.values()}
         taken = set(self.found.values())
         chosen = {}
         for i in self.gone:
             place = self.folder.nearest(self.names[i][0], taken)
             if place is None or _NO_COLOUR.search(place):
                 continue
-            if stems.isdisjoint(self.folder.stems[posixpath.dirname(place)] - {_stem(place)}):
+            if stems.isdisjoint(self.folder.stems[posixpath.dirname(place)] - {stem_of(place)}):
                 chosen[i] = place
         counts = Counter(chosen.values())
         self.moved = [i for i, path in chosen.items() if counts[path] == 1]
@@ -132,6 +153,7 @@ class _Search:
         for repaired, words in (
             (self.other_form, "are written with other Unicode characters than the files (é as one or as two) and are read all the same"),
             (self.ends, "have absolute paths of another place, and are read by the ends of their paths"),
+            (self.spelled, "have other capital letters or another suffix than the files, and are read all the same"),
             (self.moved, "name pictures that are not there, and are read from where the one picture of their name lies"),
         ):
             if repaired:
@@ -141,54 +163,8 @@ class _Search:
         return Found(order, tuple(notes), tuple(self.gone))
 
     @cached_property
-    def folder(self) -> _Pictures:
-        return _Pictures(self.root)
-
-
-class _Pictures:
-    """All pictures of a capture by name, listed at the first question."""
-
-    def __init__(self, root: Path) -> None:
-        self.paths: dict[str, str] = {}  # by the composed form of the path
-        self.stems: dict[str, set[str]] = {}
-        self._named: dict[str, list[str]] = {}
-        count = 0
-        for base, folders, files in os.walk(root):
-            folders[:] = sorted(f for f in folders if not f.startswith(".") and not checks.is_foreign(Path(base) / f))
-            at = Path(base).relative_to(root).as_posix()
-            at = "" if at == "." else f"{at}/"
-            for file in sorted(files):
-                if file.startswith(".") or not file.lower().endswith(checks.IMAGE_SUFFIXES) or not (Path(base) / file).is_file():
-                    continue
-                path = at + file
-                self.paths.setdefault(_composed(path), path)
-                self.paths.setdefault(_composed(posixpath.splitext(path)[0]), path)
-                self.stems.setdefault(at.rstrip("/"), set()).add(_stem(path))
-                self._named.setdefault(_stem(path), []).append(path)
-                count += 1
-            if count > _MOST_LISTED:
-                break
-
-    def in_another_form(self, name: str) -> str | None:
-        return self.paths.get(_composed(posixpath.normpath(name)))
-
-    def nearest(self, raw: str, taken: Collection[str] = ()) -> str | None:
-        """The one picture whose path has more of the end of ``raw`` than all others, at least its name; None if there is none."""
-        wanted = _composed(raw.replace("\\", "/")).split("/")[-2::-1]
-        lengths: dict[int, list[str]] = {}
-        for path in self.named(raw):
-            if path not in taken:
-                same = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(wanted, _composed(path).split("/")[-2::-1], strict=False))
-                lengths.setdefault(sum(1 for _ in same), []).append(path)
-        best = lengths[max(lengths)] if lengths else []
-        return best[0] if len(best) == 1 else None
-
-    def named(self, raw: str) -> list[str]:
-        """Paths of the pictures with the name at the end of a path, which may lack its suffix."""
-        name = _composed(posixpath.basename(posixpath.normpath(raw.replace("\\", "/"))))
-        suffixed = name.lower().endswith(checks.IMAGE_SUFFIXES)
-        places = self._named.get(posixpath.splitext(name)[0] if suffixed else name, [])
-        return [path for path in places if not suffixed or _composed(posixpath.basename(path)) == name]
+    def folder(self) -> Pictures:
+        return Pictures(self.root)
 
 
 def left_out(names: Sequence[str], total: int, words: str) -> str:
@@ -196,14 +172,12 @@ def left_out(names: Sequence[str], total: int, words: str) -> str:
     return f"{len(names)} of {total} {words}; first {names[0]}"
 
 
+def _kind_of_name(name: str) -> tuple[str, str]:
+    """Folder and suffix."""
+    folder, file = posixpath.split(name.replace("\\", "/"))
+    return folder, posixpath.splitext(file)[1].lower()
+
+
 def is_absolute(name: str) -> bool:
     """Also by the rules of Windows. name: with `/` between folders."""
     return name.startswith("/") or re.match(r"^[A-Za-z]:", name) is not None
-
-
-def _composed(text: str) -> str:
-    return unicodedata.normalize("NFC", text)
-
-
-def _stem(path: str) -> str:
-    return _composed(posixpath.splitext(posixpath.basename(path))[0])
