@@ -80,3 +80,17 @@ def test_captures_with_poses_and_rigs_are_not_searched(film, n3v_capture, tmp_pa
     written_over(posed.root, posed.files)
     for name, capture in (("poses", posed), ("rig", n3v_capture)):
         assert "watermark" not in run_frames(capture.root, tmp_path / name).artifact
+
+
+def test_black_bars_are_said_and_left_out(film, tmp_path):
+    root = shutil.copytree(film, tmp_path / "film")
+    for file in root.glob("*.*"):
+        picture = np.array(Image.open(file).convert("RGB"))
+        picture[:18] = picture[-18:] = 0
+        Image.fromarray(picture).save(file, quality=95)
+    ran = run_frames(root, tmp_path)
+    (line,) = [line for line in ran.lines if "black bars" in line]
+    assert "33% of each picture" in line and "crop=iw*1.0000:ih*0.6667:iw*0.0000:ih*0.1667" in line
+    kept = FrameSet(ran.artifact, root).kept(3)
+    assert not kept[:18].any() and not kept[-18:].any() and kept[22:90, :90].all()
+    assert "watermark" not in run_frames(root, tmp_path / "off", watermark=False).artifact
