@@ -12,6 +12,7 @@ from factory import render
 from factory.writers import flatten
 from PIL import Image
 from run_stage import run_frames
+from tiny_videos import encode
 
 
 def run(path, folder, **settings):
@@ -131,3 +132,20 @@ def test_settings_are_checked():
     for wrong in ({"holdout": -1}, {"background": "green"}, {"max_size": 0}, {"every": 0}, {"unknown": 1}):
         with pytest.raises(ValueError):
             FramesSettings(**wrong)
+
+
+def test_frames_that_are_no_new_moment_are_named(tmp_path):
+    wall = (np.random.default_rng(1).random((64, 160, 3)) * 255).astype(np.uint8).repeat(4, 0).repeat(4, 1)
+    seen = [np.ascontiguousarray(wall[:96, 4 * k : 4 * k + 128]) for k in range(24)]
+    shown = [np.zeros_like(seen[0])] * 2 + [seen[k * 4 // 5] for k in range(25)]
+    file = encode(tmp_path / "film.mp4", shown, options={"crf": "16"})
+    lines = run_frames(file, tmp_path).lines
+    assert any(line.startswith("5 of 27 frames repeat the one before (first film.mp4#3)") for line in lines), lines
+    assert any(line.startswith("2 of 27 frames are of one colour (first film.mp4#0)") for line in lines), lines
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for k, picture in enumerate(shown):
+        Image.fromarray(picture).save(folder / f"{k:02d}.png")
+    assert run_frames(folder, tmp_path / "second").lines[-2:] == [
+        line.replace("film.mp4#3", "03.png").replace("film.mp4#0", "00.png") for line in lines[-2:]
+    ]
