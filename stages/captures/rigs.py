@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from . import checks
-from .listing.numbers import follow_numbers, places, set_times, two_numbers
+from .listing.numbers import follow_numbers, places, set_times, two_numbers, words
 from .reading import Shot
 
 
@@ -96,24 +96,37 @@ def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -
 
 
 def cameras_in_names(shots: Sequence[Shot], fps: float | None) -> tuple[str, ...] | None:
-    """If the names of pictures in one folder hold two numbers (`cam0_0001.png`), of which one is the camera, because all pictures with the
-    same one have one pose: sets cameras and times, and returns lines for people about numbers that are skipped. None otherwise."""
+    """If the names of pictures in one folder tell cameras and times apart: sets both, and returns lines for people. None otherwise.
+
+    They do if they hold two numbers (`cam0_0001.png`), of which one is the camera, because all pictures with the same one have one pose; or
+    a number and other words for each camera (`left_0001.png`)."""
     files = [shot.file or shot.name for shot in shots]
-    columns = two_numbers(files) if len(folders_of(files)) == 1 else None
-    if columns is None:
-        return None
-    for camera, time in (columns, columns[::-1]):
+    one_folder = len(folders_of(files)) == 1
+    columns = two_numbers(files) if one_folder else None
+    for camera, time in (columns, columns[::-1]) if columns is not None else ():
         for shot, number in zip(shots, camera, strict=True):
             shot.camera = number
         if max(Counter(camera).values()) > 1 and all_fixed(shots):
-            numbers = sorted(set(time))
-            clock, told = places([f"{number}.png" for number in numbers])
-            place = dict(zip(numbers, clock, strict=True))
-            set_times(shots, [place[number] for number in time], clock[-1] >= len(clock), fps)
-            return (told,) if told else ()
+            return _follow(shots, time, fps)
     for shot in shots:
         shot.camera = 0
-    return None
+    named = words(files) if one_folder else None
+    if named is None:
+        return None
+    for shot, text in zip(shots, named[0], strict=True):
+        shot.camera = text
+    first, other = (files[named[0].index(text)] for text in sorted(set(named[0]))[:2])
+    told = f"names with other words and equal numbers, such as {first} and {other}, are read as {len(set(named[0]))} cameras at one time"
+    return (told, *_follow(shots, named[1], fps))
+
+
+def _follow(shots: Sequence[Shot], time: Sequence[int], fps: float | None) -> tuple[str, ...]:
+    """Sets the times of ``shots`` of several cameras by the number in the name of each. Returns a line if numbers are missing."""
+    numbers = sorted(set(time))
+    clock, told = places([f"{number}.png" for number in numbers])
+    place = dict(zip(numbers, clock, strict=True))
+    set_times(shots, [place[number] for number in time], clock[-1] >= len(clock), fps)
+    return (told,) if told else ()
 
 
 def all_fixed(shots: Sequence[Shot]) -> bool:

@@ -159,6 +159,45 @@ def test_a_rig_in_one_folder_is_told(tmp_path, case, folder):
     assert recognise(tmp_path, static=True).notes == ()
 
 
+WORDS = {
+    "a pair of cameras": ([f"{side}_{t:04d}.png" for side in ("left", "right") for t in range(6)], "left_0000.png and right_0000.png"),
+    "one is missing": ([f"{t}_{side}.png" for t in range(6) for side in "LR"][:-1], "0_L.png and 0_R.png"),
+    "a drone's colours and heat": (
+        [f"DJI_2024010112{t:04d}_{t:04d}_{kind}.png" for t in range(1, 7) for kind in "TV"],
+        "DJI_20240101120001_0001_T.png and DJI_20240101120001_0001_V.png",
+    ),
+    "edits of a phone": (
+        [*(f"IMG_{t:04d}.png" for t in range(6)), *(f"IMG_E{t:04d}.png" for t in range(0, 6, 2))],
+        "IMG_0000.png and IMG_E0000.png",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WORDS)
+def test_other_words_for_the_same_numbers_are_told(tmp_path, case):
+    names, first = WORDS[case]
+    pictures(tmp_path, names)
+    capture = recognise(tmp_path)
+    assert capture.facts["cameras"] == 1 and capture.facts["times"] == len(names)
+    (note,) = capture.notes
+    assert f"(first {first})" in note and "ONE camera over time" in note
+    assert recognise(tmp_path, static=True).notes == ()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"frame_{split}_{t:05d}.png" for split in ("train", "eval") for t in range(4)],  # of nerfstudio
+        [f"IMG_{t:04d}.png" for t in range(4)] + [f"DSC_{t:04d}.png" for t in range(40, 44)],
+        [f"IMG_{t:04d}.png" for t in range(6)] + ["IMG_E0003.png", "cover.png"],
+        ["left.png", "right.png", "top.png"],
+    ],
+)
+def test_words_alone_are_no_cameras(tmp_path, names):
+    pictures(tmp_path, names)
+    assert not any("ONE camera" in note for note in recognise(tmp_path).notes)
+
+
 @pytest.mark.parametrize(
     "names",
     [

@@ -141,3 +141,25 @@ def test_a_deleted_picture_leaves_the_rig_one(rig):
     np.testing.assert_allclose(capture.time, [views[name].time_index / 3 for name in capture.names])
     (note,) = capture.notes
     assert "1 of 12 images" in note and "cam1/001.png" in note
+
+
+def test_words_in_the_names_of_one_folder_tell_cameras_apart(rig):
+    """Also cameras that move, as a pair in the hand."""
+    root, views = rig
+    listed, truth = (root / "sparse/0/images.txt").read_text(), {}
+    for file, view in views.items():
+        inside = file.removeprefix("images/")
+        name = f"{('left', 'middle', 'right')[view.camera_index]}_{view.time_index:03d}.png"
+        (root / file).rename(root / "images" / name)
+        listed, truth[f"images/{name}"] = listed.replace(f" {inside}\n", f" {name}\n"), view
+    rows = listed.splitlines()
+    for i in (i for i, row in enumerate(rows) if row.endswith(".png")):
+        parts = rows[i].split()
+        parts[5] = str(float(parts[5]) + 0.01 * i)
+        rows[i] = " ".join(parts)
+    (root / "sparse/0/images.txt").write_text("\n".join(rows) + "\n")
+    capture = recognise(root)
+    assert (capture.facts["cameras"], capture.facts["times"], capture.facts["fixed_cameras"]) == (3, 4, False)
+    for i, name in enumerate(capture.names):
+        assert (capture.camera[i], capture.time[i]) == (truth[name].camera_index, pytest.approx(truth[name].time_index / 3))
+    assert any("left_000.png and images/middle_000.png, are read as 3 cameras" in note for note in capture.notes)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ....pipeline import CaptureError, counted
 from .. import checks, keep_masks
+from ..listing.numbers import SPLIT_WORDS
 from ..ply_points import read_points
 from ..posed.timestamps import timestamps
 from ..reading import SPLITS, TRAIN, Options, Reading, Shot
@@ -20,7 +21,6 @@ from .cameras_of_times import fixed_cameras, moving_cameras
 from .frame_files import cloud_of, depth_of, lost_depth, mask_of
 
 _FILE = "transforms.json"
-_SPLIT_FOLDERS = {"train", "val", "test", "eval", "validation"}  # which may hold files of the same names and are no cameras
 
 
 def detect(root: Path) -> str | None:
@@ -69,7 +69,7 @@ def read(root: Path, options: Options) -> Reading:
         )
     placed = Placed(False)
     if times is None:
-        flat = any(posixpath.basename(posixpath.dirname(path)).lower() in _SPLIT_FOLDERS for path in paths.values())
+        flat = any(posixpath.basename(posixpath.dirname(path)).lower() in SPLIT_WORDS for path in paths.values())
         placed = place_untimed(root, shots, options.static, options.fps or _fps(data), flat=flat)
     fixed = fixed_cameras(shots)
     if not fixed and times is not None:

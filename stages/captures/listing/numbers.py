@@ -14,6 +14,7 @@ from .names import decimal_of
 
 _LEAST_THERE = 0.5  # of the numbers from the first to the last; of more gaps it is not known whether they are pictures that are missing
 _MOST_TOLD = 3  # gaps
+SPLIT_WORDS = frozenset({"train", "val", "test", "eval", "validation"})  # in names of folders and pictures, which are no cameras
 
 
 def places(names: Sequence[str]) -> tuple[list[int], str | None]:
@@ -60,6 +61,29 @@ def two_numbers(names: Sequence[str]) -> list[list[int]] | None:
         return None
     first, second = (len(set(column)) for column in columns)
     return columns if len(names) >= _LEAST_THERE * first * second else None
+
+
+def words(names: Sequence[str]) -> tuple[list[str], list[int]] | None:
+    """The words and the number of each of ``names``, such as `left_` and 12 for `left_0012.png`, if the names differ in words and in a
+    number, no two have both, and at least half of the numbers are there with several words; None otherwise, for decimal numbers, and for
+    words of splits. Numbers that rise together, as a time and a count, are one: the place in their order."""
+    split = [re.split(r"([0-9]+)", posixpath.splitext(name)[0]) for name in names]
+    if len({len(parts) for parts in split}) != 1 or decimal_of(names) is not None:
+        return None
+    texts = ["#".join(parts[::2]) for parts in split]
+    if SPLIT_WORDS.intersection(re.findall("[a-z]+", " ".join({*texts}).lower())):
+        return None
+    columns = zip(*([int(number) for number in parts[1::2]] for parts in split), strict=True)
+    differing = [column for column in columns if len(set(column)) > 1]
+    found = list(zip(*differing, strict=True))
+    distinct, kinds = sorted(set(found)), len(set(texts))
+    if not 1 < kinds < len(names) or not differing or any(len(set(column)) < len(distinct) for column in differing):
+        return None
+    shared = sum(count > 1 for count in Counter(found).values())
+    if len(set(zip(texts, found, strict=True))) < len(names) or shared < _LEAST_THERE * len(distinct):
+        return None
+    place = {numbers: i for i, numbers in enumerate(distinct)}
+    return texts, list(differing[0]) if len(differing) == 1 else [place[numbers] for numbers in found]
 
 
 def follow_numbers(shots: Sequence[Shot], fps: float | None) -> tuple[str, ...]:
