@@ -245,6 +245,8 @@ def test_a_folder_images_whose_poses_lie_beside_it(colmap_capture, tmp_path):
         ("rgb_{:03d}.png", "depth_{:03d}.png", "depth maps"),
         ("{:03d}.jpg", "{:03d}_depth.png", "depth maps"),
         ("r_{}.png", "r_{}_normal.png", "normal maps"),
+        ("frame{:06d}.jpg", "depth{:06d}.png", "depth maps"),  # Replica
+        ("frame_{:05d}.png", "mask_{:05d}.png", "masks"),
         ("{:03d}.jpg", "{:03d}_mask.png", "masks"),
         ("images/{:03d}.png", "depth/{:03d}.png", "depth maps"),
         ("images/{:03d}.png", "normals/{:03d}.png", "normal maps"),
@@ -256,7 +258,7 @@ def test_depth_among_colours(tmp_path, colour, other, what):
     capture = recognise(root)
     assert capture.names == tuple(colour.format(i) for i in range(4))
     (note,) = [note for note in capture.notes if note.startswith(f"4 {what} (first {other.format(0)}) are not read")]
-    if other.startswith(("depth/", "frame")):
+    if other.startswith(("depth/", "frame-")):
         assert "a picture of depth must have one channel of grey, not RGB" in note, "they are found by name"
     elif "depth" in other or "confidence" in other:
         assert "read by the name of its picture: that of " in note
@@ -390,6 +392,13 @@ def test_kinds_of_names():
 
 
 COPIES = ("IMG_0 (1).JPG", "IMG_0(2).jpg", "IMG_1 copy.JPG", "IMG_1 - Copy (3).JPG", "Copy of IMG_2.JPG", "IMG_2_copy.JPG")
+COPIES += (
+    "IMG_1 2.JPG",
+    "IMG_0 - Kopie.JPG",
+    "IMG_2 (copie).JPG",
+    "Kopie von IMG_1.JPG",
+    "IMG_1.sync-conflict-20240101-120000-ABCDEFG.JPG",
+)
 
 
 @pytest.mark.parametrize("name", COPIES)

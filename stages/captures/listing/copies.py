@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from filecmp import cmp
 from pathlib import Path
 
-# `a (1).jpg`, `a copy 2.jpg`, `a - Copy (3).jpg`, `a_copy.jpg`, `Copy of a.jpg`
-_COPY = re.compile(r"(.+?)(?: ?\(\d+\)|(?: ?- ?| |_)copy(?: ?\(?\d+\)?)?)|copy of (.+)", re.IGNORECASE)
+# `Copy of a.jpg`; and `a (1).jpg`, `a 2.jpg`, `a - Kopie (3).jpg`, `a_copy.jpg`, `a.sync-conflict-20240101.jpg`: what follows the name of
+# the other one is in any language
+_BEFORE = re.compile(r"(?:copy of|kopie von|copie de|copia de|kopia) (.+)", re.IGNORECASE)
+_AFTER = re.compile(r"[ .(-]|_(?=copy)", re.IGNORECASE)
 
 
 def same_bytes(root: Path, names: Sequence[str]) -> dict[str, str]:
@@ -34,9 +36,10 @@ def named_copies(root: Path, names: Sequence[str]) -> dict[str, str]:
     for name in names:
         folder, file = posixpath.split(name)
         stem, suffix = posixpath.splitext(file)
-        match = _COPY.fullmatch(stem)
-        other = by_name.get(posixpath.join(folder, f"{match[1] or match[2]}{suffix}").lower()) if match else None
-        if other is not None and other != name and _same(root / name, root / other):
+        match = _BEFORE.fullmatch(stem)
+        originals = [match[1]] if match else [stem[: at.start()].rstrip(" -") for at in _AFTER.finditer(stem)]
+        others = (by_name.get(posixpath.join(folder, f"{original}{suffix}").lower()) for original in originals)
+        if (other := next((o for o in others if o not in (None, name)), None)) is not None and _same(root / name, root / other):
             found[name] = other
     return found
 

@@ -66,7 +66,7 @@ ROLES = {  # words in names of files and folders that say what a picture or an a
     "confidence": ("confidence", "confidences", "conf", "covisible"),
     "optical flow": ("flow", "flows", "optflow"),
 }
-_COLOUR = ("color", "colour", "rgb", "image", "img", "left")
+_COLOUR = ("color", "colour", "rgb", "image", "img", "left", "frame", "frames", "photo", "picture", "pic")
 _ARRAYS = (".npy", ".npz", ".pfm", ".exr", ".flo", ".tiff", ".tif", ".pgm", ".dpt", ".raw")
 _CLOUDS = (".ply", ".las", ".laz", ".pcd", ".e57", ".pts", ".ptx", ".xyz")
 _MESHES = (".obj", ".glb", ".gltf", ".usd", ".usdz", ".usda", ".usdc", ".fbx", ".stl", ".splat", ".spz", ".sog")
