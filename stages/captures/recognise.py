@@ -197,7 +197,7 @@ def _advice(root: Path) -> str:
     if folders:
         named = f"It has the folders {', '.join(folders[:6])}"
         if with_pictures(root):
-            return f"{named}: pass the one that holds images, or add transforms.json{there}"
+            return f"{named}: pass the one that holds images or videos, or add transforms.json{there}"
         return f"{named}, with no picture or video in any: copy them there, or pass another folder{there}"
     known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
     return f"Expected a video or several of one event, images, {known}{there}"

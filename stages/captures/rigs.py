@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from . import checks
+from .listing.kinds import role_of
 from .listing.numbers import follow_numbers, places, set_times, two_numbers, words
 from .reading import Shot
 
@@ -156,20 +157,22 @@ def _frame(name: str) -> str:
 def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
     """What is missing where several folders have files of the same names, as those of a rig do, and no file gives poses; None elsewhere."""
     named: dict[str, frozenset[str]] = {}
-    for folder in folders:
+    for folder in (folder for folder in folders if role_of(posixpath.basename(folder)) is None):  # depth, masks: of the same cameras
         pictures = frozenset(_frame(name) for name in _pictures(root, folder))
         if pictures:
             named[folder] = pictures
     if any(name.endswith(".pose.txt") for folder in named for name in checks.list_folder(root / folder)):
         return None  # sequences of one camera, each with its poses
     alike = [folder for folder in named if sum(names == named[folder] for names in named.values()) > 1]
-    if len(alike) < 2 or 2 * len(alike) < len(named) or {"images", "masks", "depth"} & {posixpath.basename(folder) for folder in alike}:
+    if len(alike) < 2 or 2 * len(alike) < len(named) or "images" in map(posixpath.basename, alike):
         return None
-    seen = [name for name in checks.list_folder(root) if re.match(r"(poses_bounds|sparse|colmap|calib|cameras|models)", name)]
+    seen = [
+        name for name in checks.list_folder(root) if re.match(r"(poses_bounds|sparse|colmap|calib|cameras|models|intri|extri|annots)", name)
+    ]
     also = f" (seen: {', '.join(seen[:6])})" if seen else ""
     shown, count = ", ".join(alike[:4]) + (", ..." if len(alike) > 4 else ""), len(named[alike[0]])
     return (
-        f"The folders {shown} have {count} pictures of the same names each, as the cameras of a rig do, but no file gives their "
+        f"The folders {shown} have {count} pictures of the same names each, as the cameras of a rig do, but no file that is read gives their "
         f"poses{also}. Add poses_bounds.npy with a row for each camera and name the folders cam00/, cam01/, ...; or put them into images/ "
         "beside a COLMAP model in sparse/0/; or encode each folder as a video and "
         "give the folder of videos, whose poses are then estimated"

@@ -104,6 +104,9 @@ CLOSED = {
         "the pose file of another program x_calibrated_external_camera_parameters.txt is not read; export the poses",
     ),
     "a trajectory": (("traj.txt",), "traj.txt is not read, because the layout is images"),
+    "MVSNet": (("cams/00000000_cam.txt", "cams/00000001_cam.txt"), "2 pose files (first cams/00000000_cam.txt) are not read"),
+    "EasyMocap": (("intri.yml", "extri.yml"), "extri.yml and intri.yml are not read, because the layout is images"),
+    "others of data sets": (("a.traj", "annots.npy", "X_COLMAP_SfM.log"), "X_COLMAP_SfM.log, a.traj and annots.npy are not read"),
     "light field": (("a.lfr",), "the LFR picture a.lfr is not read; export it as JPEG"),
     "model": (
         ("colmap/sparse/0/cameras.bin", "colmap/sparse/0/images.bin", "colmap/sparse/0/points3D.bin", "colmap/sparse/0/project.ini"),
@@ -315,6 +318,9 @@ def test_a_rig_without_poses_is_told_so(tmp_path):
     stubs(root, "colmap/database.db", "calibration.json")
     with pytest.raises(CaptureError) as refused:
         recognise(root)
+    stubs(root, "intri.yml", "extri.yml")
+    with pytest.raises(CaptureError, match=r"no file that is read gives their poses \(seen: .*extri\.yml, intri\.yml"):
+        recognise(root)
     for words in ("cam00, cam01, cam02", "cameras of a rig", "poses_bounds.npy", "calibration.json"):
         assert words in str(refused.value)
 
@@ -328,6 +334,14 @@ def test_a_rig_without_poses_in_a_folder_is_told_so_at_once(tmp_path, folder):
     for words in (f"{folder}/cam0, {folder}/cam1, {folder}/cam2", "cameras of a rig", "poses_bounds.npy"):
         assert words in str(refused.value)
     assert "pass the one" not in str(refused.value)
+
+
+def test_folders_of_depth_and_masks_are_no_cameras(tmp_path):
+    root = pictures(tmp_path / "scan", [f"{folder}/{t}.png" for folder in ("lowres_wide", "lowres_depth", "sem_masks") for t in range(3)])
+    with pytest.raises(
+        CaptureError, match="It has the folders lowres_depth, lowres_wide, sem_masks: pass the one that holds images or videos"
+    ):
+        recognise(root)
 
 
 def test_rigs_of_several_scenes_are_a_choice(tmp_path):

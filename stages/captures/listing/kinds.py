@@ -77,7 +77,8 @@ _DATA = r"\.(json|jsonl|txt|csv|tsv|xml|npy|npz|ya?ml|log|toml|mat|out|bin)"
 _POSES = re.compile(
     rf"(transforms?.*\.json|poses_bounds.*\.npy|models?\.json|(.*_)?meta(data)?\.json|dataset\.json|scene\.json|.*cameras?{_DATA}|cameras?_.*{_DATA}"
     rf"|(.*[^a-z])?(poses?|traj(ectory|ectories)?|extrinsics?|odometry|ground_?truth|w2c|c2w){_DATA}|(poses?|traj(ectory)?|extrinsics?)[^a-z].*{_DATA}"
-    r"|.*\.nvm|bundle.*\.out|.*\.psx|.*\.psz|.*\.sfm|sfm_data.*|reconstruction.*\.json)"
+    r"|.*\.nvm|bundle.*\.out|.*\.psx|.*\.psz|.*\.sfm|sfm_data.*|reconstruction.*\.json"
+    r"|\d+_cam\.txt|(intri|extri)\.ya?ml|annots\.(npy|json)|.*\.(traj|pincam)|.*_colmap_sfm\.log)"  # MVSNet, EasyMocap, ZJU, ARKit, Tanks
 )
 _OTHER_POSES = re.compile(  # of programs that also export what is read: Nuke, RealityCapture, Agisoft, Pix4D, ContextCapture, matchmovers
     r".*\.(chan|rcproj|abc)|(.*[^a-z])?opk([^a-z].*)?\.(txt|csv)|.*blocks_?exchange.*\.xml|.*external_camera_parameters.*\.txt"
@@ -89,7 +90,21 @@ _LISTS = re.compile(
 )
 _MOTIONS = re.compile(rf"(.*[^a-z])?(imu|accel(erometer)?|gyro(scope)?|gps|gnss|telemetry|tracks?|tracking)([^a-z].*)?{_DATA}")
 _THUMBNAILS = re.compile(r"(eh)?thumbs.*\.db")  # Windows keeps them in every folder of pictures
-_POSE_FOLDERS = ("camera", "cameras", "camera-paths", "camera_paths", "pose", "poses", "extrinsic", "extrinsics", "traj", "w2c", "c2w")
+_POSE_FOLDERS = (
+    "cam",
+    "cams",
+    "camera",
+    "cameras",
+    "camera-paths",
+    "camera_paths",
+    "pose",
+    "poses",
+    "extrinsic",
+    "extrinsics",
+    "traj",
+    "w2c",
+    "c2w",
+)
 MODEL = ("cameras", "images", "points3d", "frames", "rigs", "project")  # files of a COLMAP model, by their stems
 
 
