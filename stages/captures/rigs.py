@@ -172,8 +172,8 @@ def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
     also = f" (seen: {', '.join(seen[:6])})" if seen else ""
     shown, count = ", ".join(alike[:4]) + (", ..." if len(alike) > 4 else ""), len(named[alike[0]])
     return (
-        f"The folders {shown} have {count} pictures of the same names each, as the cameras of a rig do, but no file that is read gives their "
-        f"poses{also}. Add poses_bounds.npy with a row for each camera and name the folders cam00/, cam01/, ...; or put them into images/ "
-        "beside a COLMAP model in sparse/0/; or encode each folder as a video and "
+        f"The folders {shown} have {count} pictures of the same names each, as the cameras of a rig do, but no file that is read gives "
+        f"their poses{also}. Add poses_bounds.npy with a row for each camera and name the folders cam00/, cam01/, ...; or put them into "
+        "images/ beside a COLMAP model in sparse/0/; or encode each folder as a video and "
         "give the folder of videos, whose poses are then estimated"
     )

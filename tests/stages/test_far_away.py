@@ -32,6 +32,20 @@ def test_cameras_far_from_the_origin_are_moved_to_it(offset, moved):
     np.testing.assert_allclose(placed.points, [[0.0, 0.0, 1.0]] if moved else points, atol=2)
 
 
+@pytest.mark.parametrize("side", [60.0, 700.0, 3000.0])
+def test_single_precision_is_enough_for_a_site_in_utm(side):
+    """Cameras 100 m above a square site see a point below each to a tenth of a pixel, at 900 px of focal length."""
+    rows, corner = np.linspace(0, side, 5), np.array([512_345.6, 5_412_345.6, 0.0])
+    ground = corner + np.array([[x, y, 240.0] for x in rows for y in rows])
+    poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (len(ground), 1, 1))
+    poses[:, :3, 3] = -np.einsum("fij,fj->fi", poses[:, :3, :3], ground + np.array([7.3, -4.1, 100.0]))
+    seen = np.einsum("fij,fj->fi", poses[:, :3, :3], ground) + poses[:, :3, 3]
+    placed = brought_near(list(poses), ground)
+    turn, shift, points = (a.astype(np.float32) for a in (placed.poses[:, :3, :3], placed.poses[:, :3, 3], placed.points))
+    found = np.einsum("fij,fj->fi", turn, points) + shift
+    assert np.abs(900 * (found[:, :2] / found[:, 2:] - seen[:, :2] / seen[:, 2:])).max() < 0.1
+
+
 def test_a_small_scene_is_moved_in_its_own_units():
     poses = cameras(0.0)
     poses[:, :3, 3] *= 1e-6

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-FAR = 1e4  # times the capture's extent; the spacing of float32 is then a thousandth of the extent
+FAR = 1e3  # times the capture's extent; the spacing of float32 is then about a ten-thousandth of the extent, less than a pixel
 ONE_PLACE = 1e-9  # of the distance; cameras within it stand still, up to rounding, and say nothing about the extent
 
 
