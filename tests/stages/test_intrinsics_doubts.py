@@ -105,6 +105,18 @@ def test_the_rational_model_has_six_radial_terms(changed):
         recognise(changed(camera_model="OPENCV", **terms))
 
 
+def test_terms_may_be_a_list_in_the_order_of_nerfstudio(changed):
+    listed = [0.01, -0.02, 0.003, 0.0, 0.001, -0.002]
+    capture = recognise(changed(distortion_params=listed))
+    np.testing.assert_allclose(capture.distortion[0], [0.01, -0.02, 0.001, -0.002, 0.003, 0, 0, 0])
+    capture = recognise(changed(camera_model="OPENCV_FISHEYE", distortion_params=[0.01, -0.02, 0.003, 0.004]))
+    np.testing.assert_allclose(capture.distortion[0], [0.01, -0.02, 0.003, 0.004])
+    with pytest.raises(CaptureError, match="frame 0: distortion_params: expected a list of 6 numbers, found 4 entries"):
+        recognise(changed(camera_model="OPENCV", distortion_params=listed[:4]))
+    with pytest.raises(CaptureError, match="k4: OPENCV lenses have"):
+        recognise(changed(distortion_params=[0.01, 0, 0, 0.02, 0, 0]))
+
+
 @pytest.mark.parametrize("model", ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "opencv"])
 def test_perspective_models(changed, model):
     capture = recognise(changed(camera_model=model, k1=0.02))

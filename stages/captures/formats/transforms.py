@@ -22,6 +22,7 @@ from ..posed.sizes import scale_of
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _PERSPECTIVE = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 _FISHEYE = ("OPENCV_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE")
+_TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")  # the order of nerfstudio's `distortion_params`
 _MATRICES = ("K", "intrinsics", "intrinsic", "camera_intrinsics", "intrinsic_matrix")  # fields for a camera matrix
 _CONTRADICTION = 0.05  # largest relative difference of two values for one thing; angles are often given with two digits
 
@@ -73,6 +74,7 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, root: Pat
             f"{where}: cx, cy = {cx:g}, {cy:g} lie far outside the {width:g}x{height:g} image; "
             "give w and h of the calibrated image, or correct cx and cy"
         )
+    frame = _with_terms(frame, top, where, fisheye)
     used = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
     if name == "FULL_OPENCV" and not fisheye:
         used = (*used, "k4", "k5", "k6")
@@ -114,6 +116,17 @@ def times_of(frames: list[dict[str, Any]], file: str) -> list[float] | None:
     if missing:
         raise CaptureError(f"{file}: frame {missing[0]}: time is missing, but other frames have one; give every frame a time, or none")
     return [checks.number(frame["time"], f"{file}: frame {i}: time") for i, frame in enumerate(frames)]
+
+
+def _with_terms(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, fisheye: bool) -> Mapping[str, Any]:
+    """``frame`` with each term of the lens by its name, if it has them as `distortion_params`, or the file and the frame has none."""
+    raw = frame.get("distortion_params")
+    if raw is None and not any(key in frame for key in _TERMS):
+        raw = top.get("distortion_params")
+    if raw is None:
+        return frame
+    counts = (4, 6) if fisheye else (6,)  # four of another lens may be in OpenCV's order as well
+    return {**frame, **dict(zip(_TERMS, checks.numbers(raw, f"{where}: distortion_params", counts, LARGEST_TERM), strict=False))}
 
 
 def _matrix(frame: Mapping[str, Any], top: Mapping[str, Any], where: str) -> np.ndarray | None:
