@@ -14,6 +14,7 @@ from .names import decimal_of
 
 _LEAST_THERE = 0.5  # of the numbers from the first to the last; of more gaps it is not known whether they are pictures that are missing
 _MOST_TOLD = 3  # gaps
+_LAST = (999, 9999)  # numbers after which counters of cameras begin again
 SPLIT_WORDS = frozenset({"train", "val", "test", "eval", "validation"})  # in names of folders and pictures, which are no cameras
 
 
@@ -31,6 +32,11 @@ def places(names: Sequence[str]) -> tuple[list[int], str | None]:
     regular = counts[step] > 1 and min(steps) == step > 0 and not any(s % step for s in steps)
     if not regular or len(numbers) < _LEAST_THERE * ((numbers[-1] - numbers[0]) / step + 1):
         k = max(range(len(steps)), key=lambda i: steps[i])
+        if numbers[-1] in _LAST and numbers[0] <= 1 and steps[k] > len(numbers):
+            return even, (
+                f"the counter of the camera seems to have begun again after {names[-1]}, so {names[k + 1]} to {names[-1]} are taken as the "
+                f"last though they were the first: give the pictures from {names[0]} on higher numbers"
+            )
         return even, (
             f"the numbers in the names rise unevenly, most from {names[k]} to {names[k + 1]}: the pictures are taken as evenly spaced in "
             "time; use --static if nothing moves"
