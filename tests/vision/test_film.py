@@ -70,3 +70,9 @@ def test_cuts_are_found_and_flashes_are_none():
     assert findings(seen[:12] + others[:18]) == Findings([], [], [], [12])
     bright = np.clip(seen[12].astype(int) + 120, 0, 255).astype(np.uint8)
     assert findings([*seen[:12], bright, *seen[13:]]) == NOTHING
+
+
+def test_pictures_of_several_sizes_are_compared():
+    seen = [moment(k) for k in range(12)]
+    assert findings([picture if k % 3 else np.ascontiguousarray(picture.transpose(1, 0, 2)) for k, picture in enumerate(seen)]) == NOTHING
+    assert findings([cv2.resize(picture, (80 + 8 * k, 60 + 6 * k)) for k, picture in enumerate(seen)]) == NOTHING

@@ -40,8 +40,11 @@ class Film:
     _before: tuple[np.ndarray, np.ndarray] | None = None
 
     def add(self, picture: np.ndarray) -> None:
+        """picture: of whatever size; those of another size than the first are scaled to it."""
         import cv2
 
+        if self._before is not None and picture.shape != self._before[0].shape:
+            picture = cv2.resize(picture, self._before[0].shape[::-1], interpolation=cv2.INTER_AREA)
         coarse = cv2.resize(picture, COARSE, interpolation=cv2.INTER_AREA)
         self.spreads.append(float(picture.std()))
         if self._before is not None:
