@@ -9,7 +9,7 @@ import numpy as np
 
 from .formats.axes import Turn
 from .formats.glb import CORNERS, FLOAT, UNSIGNED_INT, UNSIGNED_SHORT, VERTICES, Glb
-from .formats.gltf import node_rotation
+from .formats.gltf import linear_colors, node_rotation
 
 TRIANGLES = 4  # a mode of glTF 2.0
 UNLIT = "KHR_materials_unlit"  # the colours already contain the light of the capture
@@ -56,9 +56,10 @@ def mesh_glb_bytes(meshes: Sequence[Mesh], seconds: Sequence[float] = (0.0,), tu
         nodes.append({"name": f"frame{k + 1:04d}", "scale": [float(k == 0)] * 3})
         if len(mesh.triangles):
             nodes[k]["mesh"] = len(shapes)
+            colors = (linear_colors(mesh.colors) * 65535).round().astype("<u2")
             attributes = {
                 "POSITION": file.add(mesh.vertices.astype("<f4"), FLOAT, bounds=True, target=VERTICES),
-                "COLOR_0": file.add((_linear(mesh.colors) * 65535).round().astype("<u2"), UNSIGNED_SHORT, normalized=True, target=VERTICES),
+                "COLOR_0": file.add(colors, UNSIGNED_SHORT, normalized=True, target=VERTICES),
             }
             material = int((mesh.colors[:, 3] < 1).any())
             corners = file.add(mesh.triangles.astype("<u4").reshape(-1, 1), UNSIGNED_INT, target=CORNERS)
@@ -86,10 +87,3 @@ def mesh_glb_bytes(meshes: Sequence[Mesh], seconds: Sequence[float] = (0.0,), tu
     if channels:
         content["animations"] = [{"name": "frames", "channels": channels, "samplers": samplers}]
     return file.bytes(content)
-
-
-def _linear(colors: np.ndarray) -> np.ndarray:
-    """[V, 4]: RGB with the sRGB curve (IEC 61966-2-1) removed, and opacity unchanged."""
-    c = colors.clip(0, 1).astype(np.float64)
-    rgb = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-    return np.concatenate([rgb[:, :3], c[:, 3:]], axis=1)

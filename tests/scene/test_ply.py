@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -92,6 +93,19 @@ def test_gltf_that_is_read_back_renders_the_same(degree):
     bounds = content["accessors"][0]
     assert (found["POSITION"].min(0) == np.float32(bounds["min"])).all() and (found["POSITION"].max(0) == np.float32(bounds["max"])).all()
     assert named["COLOR_0"].min() >= 0 and named["COLOR_0"].max() <= 1
+
+
+def test_colours_of_points_in_gltf_are_linear_light():
+    """As the extension asks for: the sRGB value 0.5 is 0.2140 of the light (IEC 61966-2-1)."""
+    made = gaussians(degree=0)
+    made.sh = torch.zeros_like(made.sh)
+    np.testing.assert_allclose(of_glb(glb_bytes(made)[0])[1]["COLOR_0"][:, :3], 0.21404, atol=1e-5)
+
+
+def test_gltf_of_nothing_has_no_empty_accessor():
+    file, rows = glb_bytes(replace(gaussians(3), opacities=torch.zeros(3)))
+    content = json.loads(file[20:])
+    assert rows == 0 and content["nodes"] == [{"name": "splats"}] and "accessors" not in content
 
 
 def test_columns_are_those_that_viewers_ask_for():
