@@ -15,6 +15,8 @@ MAGIC, VERSION = 0x5053474E, 3
 MOST = 2**23 - 1  # greatest coordinate: signed 24 bits
 FRACTION = 20  # most fraction bits of a coordinate
 ANTIALIASED = 1  # a flag of the header
+LEAST_LOG, LOG_STEPS = -10, 16  # of ln of a standard deviation: the least, and steps in each unit; there are 256
+COARSE = 0.25  # of the median Gaussian's standard deviation: a step of positions that can be seen
 
 
 def spz_bytes(gaussians: Gaussians, antialiased: bool = False) -> tuple[bytes, int]:
@@ -37,11 +39,34 @@ def spz_bytes(gaussians: Gaussians, antialiased: bool = False) -> tuple[bytes, i
         np.ascontiguousarray(fixed.reshape(-1, 1).view("u1")[:, :3]).tobytes(),
         _bytes(opacities * 255),
         _bytes((0.5 + 0.15 * sh[:, 0]) * 255),
-        _bytes((np.log(scales) + 10) * 16),
+        _bytes(_log_steps(scales)),
         _rotations(quats).tobytes(),
         _bytes(sh[:, 1:] * 128 + 128),
     ]
     return gzip.compress(b"".join(parts), mtime=0), rows
+
+
+def cut_by_spz(gaussians: Gaussians) -> list[str]:
+    """What of the visible ones among ``gaussians`` (with sh) the format cannot hold as closely as their size asks for, a line each. It has
+    no unit of length, so a scene in millimetres, or with one Gaussian very far away, meets these limits."""
+    shown = seen(gaussians)
+    if not len(shown.means):
+        return []
+    widest = shown.scales.detach().cpu().double().numpy().max(1)
+    low, high = (float(np.exp(LEAST_LOG + k / LOG_STEPS)) for k in (0, 255))
+    steps, middle, farthest = np.rint(_log_steps(widest)), float(np.median(widest)), float(shown.means.abs().max())
+    found, instead = [], "export ply or sog instead"
+    if beyond := int(((steps < 0) | (steps > 255)).sum()):
+        counts = f"{beyond} of {len(widest)} Gaussians are not that size and are cut"
+        found.append(f"SPZ holds standard deviations of {low:.2g} to {high:.3g} world units; {counts}; {instead}")
+    if farthest <= MOST and (step := 2.0 ** -fraction_bits(farthest)) > COARSE * middle:
+        far = f"a Gaussian lies {farthest:.3g} world units away, so SPZ rounds all positions to {step:.2g}"
+        found.append(f"{far}, while the median standard deviation is {middle:.2g}; {instead}")
+    return found
+
+
+def _log_steps(scales: np.ndarray) -> np.ndarray:
+    return np.asarray((np.log(scales) - LEAST_LOG) * LOG_STEPS)
 
 
 def fraction_bits(farthest: float) -> int:

@@ -30,12 +30,13 @@ UP: dict[SplatFormat, str] = {"ply": "-Y", "compressed-ply": "-Y", "spz": "Y", "
 @dataclass
 class Exported:
     """fewest, most: number of Gaussians per file. turn: from the capture's axes to those of the files. loss: how far the first file is from
-    the model."""
+    the model, before rounding. notes: what the format cuts in it, a line each."""
 
     fewest: int
     most: int
     turn: Turn
     loss: Loss
+    notes: list[str]
 
 
 def export_splats(
@@ -57,6 +58,8 @@ def export_splats(
     a package that is not installed, and as `bake` does; OSError if a file cannot be written."""
     if single and len(moments) != 1:
         raise ValueError(f"one file holds one time, not {len(moments)}")
+    from ...scene.formats.spz import cut_by_spz
+
     turn = turn_of(frames, up, UP[kind])
     encode = encoder(kind, turn, antialiased)
     baked = bake(model, frames, antialiased)
@@ -79,7 +82,8 @@ def export_splats(
                 write(numbered(folder, k, KINDS[kind]), t)
             about = {"format": kind, "up": turn.after, "antialiased": antialiased}
             write_index(folder, KINDS[kind], moments, float(np.ptp(frames.seconds)), about)
-    return Exported(min(rows), max(rows), turn, loss_of(baked, frames, moments[0]))
+    notes = cut_by_spz(baked.at(moments[0])) if kind == "spz" else []
+    return Exported(min(rows), max(rows), turn, loss_of(baked, frames, moments[0]), notes)
 
 
 def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:

@@ -10,7 +10,7 @@ from e4dgs.rasterizer import Gaussians
 from e4dgs.scene.formats.compressed_ply import along_a_curve, compressed_ply_bytes
 from e4dgs.scene.formats.ply import ply_bytes
 from e4dgs.scene.formats.smallest_three import LARGEST, smallest_three
-from e4dgs.scene.formats.spz import MOST, fraction_bits, spz_bytes
+from e4dgs.scene.formats.spz import MOST, cut_by_spz, fraction_bits, spz_bytes
 
 
 def gaussians(count: int = 100, degree: int = 3, far: float = 0.5) -> Gaussians:
@@ -41,6 +41,25 @@ def test_what_is_too_far_for_spz_is_said():
     made.means[1, 2] = 1e9
     with pytest.raises(ValueError, match="1e\\+09 world units away"):
         spz_bytes(made)
+
+
+@pytest.mark.parametrize(
+    ("unit", "far", "words"),
+    [(1.0, 20.0, []), (1e-4, 1e-3, ["standard deviations"]), (1e4, 1e4, ["standard deviations"]), (1.0, 1e6, ["positions to 0.12"])],
+)
+def test_what_spz_would_cut_is_said(unit, far, words):
+    """In other units of length, or with one Gaussian very far away. In the file a Gaussian of 1e4 would be 379."""
+    made = gaussians(300)
+    made.means, made.scales = unit * made.means, unit * made.scales
+    made.means[0] = torch.tensor([far, 0.0, 0.0])
+    found = cut_by_spz(made)
+    assert len(found) == len(words) and all(word in line and "export ply" in line for word, line in zip(words, found))
+
+
+def test_spz_of_nothing_cuts_nothing():
+    made = gaussians(3)
+    made.opacities = torch.zeros(3)
+    assert cut_by_spz(made) == []
 
 
 @pytest.mark.parametrize(("degree", "antialiased"), [(0, False), (1, True), (3, False)])

@@ -174,4 +174,4 @@ def _splats(
         done = export_splats(trained.model, trained.frames, target, moments, kind, single, axis, antialiased, bar.advance)
     each = counted(done.most, "Gaussian") if done.fewest == done.most else f"{done.fewest} to {done.most} Gaussians"
     files = f"{len(moments)} files, {each} each" if len(moments) > 1 else each
-    say(f"{files}; {done.loss}", f"axes: {done.turn}", f"{kind}: {target}")
+    say(f"{files}; {done.loss}", *(f"note: {note}" for note in done.notes), f"axes: {done.turn}", f"{kind}: {target}")
