@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ...rasterizer import Gaussians
+from ...rasterizer.validate import usable
 
 LEAST_ALPHA = 1 / 255  # the rasterizer draws nothing below this
 COEFFICIENTS = 16  # of degree 3, which readers of this layout expect
@@ -43,9 +45,15 @@ def table_bytes(
     return ("\n".join(header) + "\n").encode() + np.ascontiguousarray(table).tobytes()
 
 
+def drawable_rows(gaussians: Gaussians) -> Tensor:
+    """[N] bool: those that the rasterizer does not leave out for a number that is not finite, or for want of an extent or a rotation.
+    Readers would draw them, and one of them spoils the boxes that its neighbours are quantised in."""
+    return usable(replace(gaussians, opacities=gaussians.opacities.clamp(0, 1)))
+
+
 def seen_rows(gaussians: Gaussians) -> Tensor:
-    """[N] bool: Gaussians that are opaque enough to be drawn and have finite positions."""
-    return (gaussians.opacities >= LEAST_ALPHA) & torch.isfinite(gaussians.means).all(1)
+    """[N] bool: those of `drawable_rows` that are opaque enough to be drawn."""
+    return (gaussians.opacities >= LEAST_ALPHA) & drawable_rows(gaussians)
 
 
 def seen(gaussians: Gaussians) -> Gaussians:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, Gaussians, rasterize
+from e4dgs.scene.formats.compressed_ply import compressed_ply_bytes
 from e4dgs.scene.formats.gltf import glb_bytes
 from e4dgs.scene.formats.ply import LEAST_ALPHA, ply_bytes
+from e4dgs.scene.formats.spz import spz_bytes
 
 
 def gaussians(count: int = 200, degree: int = 2) -> Gaussians:
@@ -123,6 +125,18 @@ def test_what_cannot_be_seen_is_left_out_at_the_rasterizer_s_threshold():
     made.opacities = torch.tensor([LEAST_ALPHA, LEAST_ALPHA - 1e-5, 1.0])
     file, rows = ply_bytes(made)
     assert rows == 2 and np.isfinite(read(file)[1]).all()
+
+
+def test_what_the_rasterizer_does_not_draw_is_in_no_file():
+    """One such Gaussian would leave all of its chunk of a compressed file without a box."""
+    made, whole = gaussians(200), gaussians(200)
+    made.sh[3, 0, 0] = made.scales[4, 1] = torch.nan
+    made.scales[5, 2], made.scales[6, 0], made.quats[7] = torch.inf, 0.0, 0.0
+    for field in ("means", "quats", "scales", "opacities", "sh"):
+        value = getattr(whole, field)
+        setattr(whole, field, torch.cat([value[:3], value[8:]]))
+    for write in (ply_bytes, compressed_ply_bytes, spz_bytes, glb_bytes):
+        assert write(made) == write(whole)
 
 
 def test_the_header_says_what_is_asked_and_is_still_read():
