@@ -16,7 +16,7 @@ from torch import Tensor
 from ...pipeline.files import sync_file
 from ...rasterizer import Gaussians
 from .axes import Turn, nearest_axis
-from .ply import seen_rows
+from .ply import drawable_rows, seen_rows
 
 REACH = 3.0  # standard deviations around each Gaussian that the bounding box includes
 NOTE = (
@@ -66,7 +66,8 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
         add = {"X": root.AddRotateXOp, "Y": root.AddRotateYOp, "Z": root.AddRotateZOp}[about[-1]]
         add().Set(float(-turn.degrees if about[0] == "-" else turn.degrees))
 
-    keep = torch.stack([seen_rows(at(t)) for t in times]).any(0)
+    rows = [(seen_rows(moment), drawable_rows(moment)) for moment in map(at, times)]
+    keep = torch.stack([seen for seen, _ in rows]).any(0) & torch.stack([drawable for _, drawable in rows]).all(0)
     splats = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/World/Splats")
     # Without it, colours are taken as linear. There is no token for display values; this one has their primaries and curve.
     Usd.ColorSpaceAPI.Apply(splats.GetPrim()).CreateColorSpaceNameAttr(Gf.ColorSpaceNames.SRGBRec709)
@@ -74,8 +75,11 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
     written: dict[str, tuple[np.ndarray, Any]] = {}
 
     def sample(attribute: Usd.Attribute, code: float, array: np.ndarray, kind: Any) -> None:
-        """Set a sample. Consecutive equal samples share one array, so values that do not change are stored once."""
+        """Set a sample. Consecutive equal samples share one array, so values that do not change are stored once. The first is also the
+        value of readers that ask for no time: without one they would find an empty scene."""
         known = written.get(attribute.GetName())
+        if known is None:
+            attribute.Set(kind.FromNumpy(array))
         if known is None or not np.array_equal(known[0], array):
             known = written[attribute.GetName()] = array, kind.FromNumpy(array)
         attribute.Set(known[1], Usd.TimeCode(code))

@@ -132,6 +132,23 @@ def test_what_is_read_back_renders_the_same(tmp_path, ending):
     assert (gaussians_of(splats, 0).means.numpy() > low).all() and (gaussians_of(splats, 0).means.numpy() < high).all()
 
 
+def test_readers_that_ask_for_no_time_find_the_first(tmp_path):
+    write_usd(tmp_path / "a.usdc", moving, [0.5, 1.0], 8.0, 12.0, Turn("Y", "Y"))
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    for attribute in splats_of(stage).GetPrim().GetAuthoredAttributes():
+        assert attribute.Get() == attribute.Get(Usd.TimeCode.EarliestTime()), attribute.GetName()
+    assert not UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default"]).ComputeWorldBound(stage.GetDefaultPrim()).GetRange().IsEmpty()
+
+
+def test_what_cannot_be_drawn_at_every_time_is_left_out(tmp_path):
+    def breaks(t: float) -> Gaussians:
+        made = moving(t)
+        made.means[1] = torch.nan if t else 0.0
+        return made
+
+    assert write_usd(tmp_path / "a.usdc", breaks, [0.0, 1.0], 8.0, 12.0, Turn("Y", "Y")) == 48
+
+
 def test_what_does_not_change_is_stored_once(tmp_path):
     for count in (2, 20):
         write_usd(tmp_path / f"{count}.usdc", moving, np.linspace(0, 1, count).tolist(), 8.0, 12.0, Turn("Z", "Z"))
