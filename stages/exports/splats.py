@@ -80,10 +80,15 @@ def export_splats(
         with new_sequence(out, KINDS[kind]) as folder:
             for k, t in enumerate(moments):
                 write(numbered(folder, k, KINDS[kind]), t)
-            about = {"format": kind, "up": turn.after, "antialiased": antialiased}
+            about = {"format": kind, "up": turn.after, "antialiased": antialiased, **origin_of(frames)}
             write_index(folder, KINDS[kind], moments, float(np.ptp(frames.seconds)), about)
     notes = cut_by_spz(baked.at(moments[0])) if kind == "spz" else []
     return Exported(min(rows), max(rows), turn, loss_of(baked, frames, moments[0]), notes)
+
+
+def origin_of(frames: FrameSet) -> dict[str, list[float]]:
+    """What an index says of a capture that was moved: the point of its files' world that is 0 0 0 here; nothing of any other."""
+    return {} if frames.origin is None else {"origin": [float(x) for x in frames.origin]}
 
 
 def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:

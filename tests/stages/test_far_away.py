@@ -6,9 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from e4dgs.scene.formats.axes import Turn
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.assembly.far_away import FAR, brought_near, told_moved
+from e4dgs.stages.exports.splats import origin_of
 from e4dgs.workflows.exports.camera_path import path_of_file
+from e4dgs.workflows.exports.trained import axes_line
 from scipy.spatial.transform import Rotation
 
 
@@ -96,6 +99,15 @@ def test_a_far_capture_is_the_near_one_about_another_origin(nerfstudio_capture, 
     expected[:, :3, 3] -= expected[:, :3, :3] @ shift
     np.testing.assert_allclose(capture.cam_from_world, expected, atol=1e-8)
     assert told_moved(capture.origin) in capture.notes
+
+
+def test_exports_say_where_a_far_capture_was(far):
+    capture = recognise(far)
+    moved, where = SimpleNamespace(origin=capture.origin), ", ".join(f"{x:.9g}" for x in capture.origin)
+    assert f"0 0 0 is the point ({where}) of the capture's files" in axes_line(Turn("Z", "Y"), moved)
+    assert origin_of(moved) == {"origin": capture.origin.tolist()}
+    near = SimpleNamespace(origin=None)
+    assert axes_line(Turn("Y", "Y"), near) == "axes: up is Y, and all axes are those of the capture" and origin_of(near) == {}
 
 
 def test_a_path_file_is_in_the_world_of_the_far_captures_files(far, tmp_path):

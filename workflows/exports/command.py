@@ -22,6 +22,7 @@ from .trained import (
     Antialiased,
     Moment,
     Up,
+    axes_line,
     check_folder,
     check_moment,
     check_single,
@@ -174,4 +175,4 @@ def _splats(
         done = export_splats(trained.model, trained.frames, target, moments, kind, single, axis, antialiased, bar.advance)
     each = counted(done.most, "Gaussian") if done.fewest == done.most else f"{done.fewest} to {done.most} Gaussians"
     files = f"{len(moments)} files, {each} each" if len(moments) > 1 else each
-    say(f"{files}; {done.loss}", *(f"note: {note}" for note in done.notes), f"axes: {done.turn}", f"{kind}: {target}")
+    say(f"{files}; {done.loss}", *(f"note: {note}" for note in done.notes), axes_line(done.turn, trained.frames), f"{kind}: {target}")

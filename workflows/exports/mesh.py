@@ -16,7 +16,7 @@ from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
-from .trained import Moment, Trained, Up, check_moment, check_single, check_strangers, is_file, open_trained, up_axis, writing
+from .trained import Moment, Trained, Up, axes_line, check_moment, check_single, check_strangers, is_file, open_trained, up_axis, writing
 
 if TYPE_CHECKING:
     from ...scene.formats.axes import Turn
@@ -91,7 +91,7 @@ def mesh(
             triangles = write_meshes(trained, meshes, moments, target, single, turn)
     least, most = min(triangles), max(triangles)
     said = (counted(most, "triangle") if least == most else f"{least} to {most} triangles") + (f" at {count} times" if count > 1 else "")
-    say(f"{said}; {made}", f"axes: {turn}", f"mesh: {target}")
+    say(f"{said}; {made}", axes_line(turn, trained.frames), f"mesh: {target}")
 
 
 def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool, turn: Turn) -> list[int]:
@@ -100,6 +100,7 @@ def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[flo
     of each."""
     from ...scene.mesh import mesh_glb_bytes, mesh_ply_bytes
     from ...stages.exports.numbered import new_sequence, numbered, write_index
+    from ...stages.exports.splats import origin_of
 
     if single and target.suffix.lower() == ".glb":
         seconds = float(np.ptp(trained.frames.seconds)) or (trained.times - 1) / USUAL_RATE
@@ -115,5 +116,6 @@ def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[flo
         for k, one in enumerate(meshes):
             write_atomically(numbered(folder, k, ".ply"), mesh_ply_bytes(one, turn))
             triangles.append(len(one.triangles))
-        write_index(folder, ".ply", moments, float(np.ptp(trained.frames.seconds)), {"format": "mesh", "up": turn.after})
+        about = {"format": "mesh", "up": turn.after, **origin_of(trained.frames)}
+        write_index(folder, ".ply", moments, float(np.ptp(trained.frames.seconds)), about)
     return triangles

@@ -13,7 +13,7 @@ from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
-from .trained import Antialiased, Moment, Up, check_moment, is_file, open_trained, up_axis, writing
+from .trained import Antialiased, Moment, Up, axes_line, check_moment, is_file, open_trained, up_axis, writing
 
 if TYPE_CHECKING:
     from ...stages.exports.straight.export import Straight
@@ -53,4 +53,4 @@ def write_straight(kind: Straight, options: Options, out: Path | None, time: flo
     console = Console()
     with Progress(4, "export", console) as bar, writing(path):
         done = export_straight(trained.model, trained.frames, path, trained.times, kind, time, axis, antialiased, bar.advance)
-    say(str(done), f"axes: {done.turn}", f"{kind}: {path}")
+    say(str(done), axes_line(done.turn, trained.frames), f"{kind}: {path}")

@@ -17,6 +17,7 @@ from ..results import results, trained_stage
 from ..session import Options, Session, open_session
 
 if TYPE_CHECKING:
+    from ...scene.formats.axes import Turn
     from ...scene.model import Model
     from ...stages.shared.frameset import FrameSet
 
@@ -80,6 +81,13 @@ def open_trained(options: Options) -> Trained:
     from ...stages.shared.model import read_model
 
     return Trained(session, read_model(artifact), FrameSet(frames, session.job.capture.root, found.get("poses")))
+
+
+def axes_line(turn: Turn, frames: FrameSet) -> str:
+    """How the files of an export lie in the world of the capture's files, for people."""
+    if frames.origin is None:
+        return f"axes: {turn}"
+    return f"axes: {turn}; 0 0 0 is the point ({', '.join(f'{x:.9g}' for x in frames.origin)}) of the capture's files"
 
 
 def check_folder(out: Path | None) -> None:
