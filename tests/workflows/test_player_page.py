@@ -355,6 +355,17 @@ def test_controls_fit_narrow_and_wide_windows(opened, file, width):
         assert width > 700 or min(box["width"], box["height"]) >= 16
 
 
+def test_a_site_that_forbids_workers_shows_the_scene(browser, file):
+    shown, address = browser.new_page(), "http://player.test/"
+    headers = {"content-type": "text/html", "content-security-policy": "worker-src 'none'"}
+    shown.route(address, lambda asked: asked.fulfill(body=page("made", file, None, (1, 1, 1), False), headers=headers))
+    try:
+        shown.goto(address)
+        shown.wait_for_selector("body.ready", timeout=60_000)
+    finally:
+        shown.close()
+
+
 def test_page_and_data_apart_need_a_server(browser, file, tmp_path):
     import threading
     from functools import partial

@@ -58,6 +58,7 @@ function checkedArray(one) {
 const bytesOf = ({ shape, planes }) => shape[0] * shape[1] * shape[2] * (planes || 4);
 
 async function inflated(bytes, total) {
+  expect(typeof DecompressionStream === "function", "This browser is too old for the scene, which it cannot unpack. Try a newer one.");
   const out = new Uint8Array(total);
   let filled = 0;
   try {

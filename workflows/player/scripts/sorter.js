@@ -9,7 +9,7 @@ export async function startSorter(bytes) {
     if (message.kind === "sorted") waiting.get(message.id).done(message), waiting.delete(message.id);
     else settle(message);
   };
-  const send = connect(heard);
+  const send = await connect(heard);
   const opened = await new Promise((done) => {
     settle = done;
     send({ kind: "open", bytes }, [bytes.buffer]);
@@ -26,15 +26,29 @@ export async function startSorter(bytes) {
   return { scene: opened.scene, sorter: { sort, give: (order) => spare.push(order) } };
 }
 
+// A function that sends messages, when what will answer them is there. A site may forbid workers, which the page hears only after it has made
+// one; until then nothing is handed over.
 function connect(heard) {
-  try {
-    const address = URL.createObjectURL(new Blob([document.getElementById("worker").textContent], { type: "text/javascript" }));
-    const worker = new Worker(address);
-    worker.onmessage = (event) => heard(event.data);
-    worker.onerror = (event) => heard({ kind: "failed", message: event.message || "The page's worker has failed." });
-    return (message, moved) => worker.postMessage(message, moved);
-  } catch {
-    const answers = new Answers((message) => heard(message));
-    return (message) => answers.take(message);
-  }
+  return new Promise((done) => {
+    const here = () => {
+      const answers = new Answers(heard);
+      done((message) => answers.take(message));
+    };
+    try {
+      const address = URL.createObjectURL(new Blob([document.getElementById("worker").textContent], { type: "text/javascript" }));
+      const worker = new Worker(address);
+      let there = false;
+      worker.onmessage = ({ data }) => {
+        if (data.kind !== "there") return heard(data);
+        there = true;
+        done((message, moved) => worker.postMessage(message, moved));
+      };
+      worker.onerror = (event) => {
+        if (there) heard({ kind: "failed", message: event.message || "The page's worker has failed." });
+        else here();
+      };
+    } catch {
+      here();
+    }
+  });
 }

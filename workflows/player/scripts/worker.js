@@ -44,4 +44,5 @@ export class Answers {
 export function answersTo(scope) {
   const answers = new Answers((message, moved) => scope.postMessage(message, moved));
   scope.onmessage = (event) => answers.take(event.data);
+  scope.postMessage({ kind: "there" });
 }
