@@ -91,6 +91,38 @@ test("a camera takes the place of a capture's, and turns about its target", () =
   assert.ok(Math.abs(m[9]) < 0.9995, "not straight down");
 });
 
+test("a browser that cannot unpack is told so, not that the scene is damaged", async () => {
+  const [name] = files(".e4dw"), kept = globalThis.DecompressionStream;
+  try {
+    delete globalThis.DecompressionStream;
+    await assert.rejects(readContainer(read(name)), /browser is too old/);
+  } finally {
+    globalThis.DecompressionStream = kept;
+  }
+});
+
+test("a pinch goes nearer as fingers part, held keys repeat no command, and none stays down", async () => {
+  const { Controls } = await load("controls"), canvas = new EventTarget(), page = new EventTarget(), did = [], near = [];
+  globalThis.addEventListener = page.addEventListener.bind(page);
+  const send = (to, name, fields) => {
+    const event = new Event(name, { cancelable: true });
+    for (const [key, value] of Object.entries({ target: { tagName: "CANVAS" }, ...fields })) Object.defineProperty(event, key, { value });
+    to.dispatchEvent(event);
+  };
+  const camera = { approach: (factor) => near.push(factor) };
+  const player = { camera, changed() {}, toggle: () => did.push("toggle"), step: (frames) => did.push(frames) };
+  const controls = new Controls(canvas, player);
+  for (let k = 0; k < 10; ++k) send(canvas, "wheel", { deltaY: -10 * Math.log(2), ctrlKey: true });  // browsers: -100 ln of the spread
+  assert.ok(Math.abs(near.reduce((a, b) => a * b) - 0.5) < 1e-9);
+  for (const repeat of [false, true, true]) send(page, "keydown", { code: "Space", key: " ", repeat });
+  for (const repeat of [false, true]) send(page, "keydown", { code: "Period", key: ".", repeat });
+  assert.deepEqual(did, ["toggle", 1, 1]);
+  send(page, "keydown", { code: "KeyW", key: "w" });
+  assert.ok(controls.busy);
+  send(page, "keyup", { code: "MetaLeft", key: "Meta" });
+  assert.ok(!controls.busy);
+});
+
 test("an eye of a headset sees what a camera of the page sees", async () => {
   const { eyeView, hasStereo, standAt } = await load("stereo"), near = (a, b) => a.forEach((x, k) => assert.ok(Math.abs(x - b[k]) < 1e-9, `${a} ${b}`));
   const place = standAt({ eye: [0, 0, -3], forward: [0, 0, 1], right: [1, 0, 0], up: [0, -1, 0], distance: 3 });  // OpenCV's axes, level

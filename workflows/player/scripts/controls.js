@@ -3,6 +3,8 @@
 const KEYS = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyE: [0, 1, 0], KeyQ: [0, -1, 0] };
 const TURN = 0.005;  // radians a px of dragging
 const PACE = 0.6;    // of the distance to the target, a second of flying
+const WHEEL = 0.0012, PINCH = 0.01;  // of ln distance; browsers tell a pinch on a trackpad as a wheel with ctrl, by 100 times its ln
+const AGAIN = ["Comma", "Period", "BracketLeft", "BracketRight"];  // what acts again while its key is held
 
 export class Controls {
   // player: camera, mode ("orbit" or "fly"), changed(), and what `#key` calls.
@@ -21,11 +23,15 @@ export class Controls {
     on("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
-      player.camera.approach(Math.exp(Math.max(-0.4, Math.min(0.4, 0.0012 * event.deltaY))));
+      const way = (event.ctrlKey ? PINCH : WHEEL) * event.deltaY;
+      player.camera.approach(Math.exp(Math.max(-0.4, Math.min(0.4, way))));
       player.changed();
     }, { passive: false });
     addEventListener("keydown", (event) => this.#key(event));
-    addEventListener("keyup", (event) => this.held.delete(event.code));
+    addEventListener("keyup", ({ key, code }) => {
+      if (key === "Meta") this.held.clear();  // macOS tells of no other key that is let go while this one is down
+      else this.held.delete(code);
+    });
     addEventListener("blur", () => this.held.clear());
   }
 
@@ -64,7 +70,9 @@ export class Controls {
     };
     if (KEYS[event.code]) this.held.add(event.code);
     else if (arrows) camera.turn(0.06 * arrows[0], 0.06 * arrows[1], player.mode === "orbit");
-    else if (acts[event.code]) acts[event.code]();
+    else if (acts[event.code]) {
+      if (!event.repeat || AGAIN.includes(event.code)) acts[event.code]();
+    }
     else if (event.key === "?") player.help();
     else return;
     event.preventDefault();
