@@ -10,10 +10,12 @@ from e4dgs.scene.formats.freetime import freetime_bytes, read_freetime
 from e4dgs.scene.formats.gaussian_birth import Clock, View, container_bytes, read_container
 from e4dgs.scene.motion.lifetimes.lifetime import lifetime
 from e4dgs.scene.primitives import SH_C0
-from e4dgs.stages.exports.bake import Baked
+from e4dgs.stages.exports.bake import Baked, Loss
 from e4dgs.stages.exports.plain import PlainLook
+from e4dgs.stages.exports.straight import pieces as of_pieces
 from e4dgs.stages.exports.straight.colors import fitting_colors
-from e4dgs.stages.exports.straight.pieces import pieces_of, still_pieces, turned_pieces
+from e4dgs.stages.exports.straight.export import ExportedStraight
+from e4dgs.stages.exports.straight.pieces import halvings, pieces_of, still_pieces, turned_pieces
 from e4dgs.stages.exports.straight.soft import soft_pieces
 from made_models import FRAMES, MOTIONS, camera, made
 
@@ -113,6 +115,19 @@ def test_soft_pieces_of_what_bends_stay_near_it(motion, slow, bar):
     back = read_freetime(freetime_bytes(pieces, FRAMES))
     found = [psnr(source, back.at(t), t) for t in (0.1, *TIMES, 0.63)]
     assert min(found) > bar, found
+
+
+def test_pieces_that_memory_keeps_long_are_told(monkeypatch):
+    source = baked("nodes")
+    assert halvings(source, FRAMES) == (6, 6)
+    whole = pieces_of(source, FRAMES, PIXEL)
+    monkeypatch.setattr(of_pieces, "MOST_BYTES", 16 * 330 * 56)  # 16 intervals between samples
+    assert halvings(source, FRAMES) == (3, 6)
+    few = pieces_of(source, FRAMES, PIXEL)
+    lengths = [float((one.high - one.low)[(one.low > 0) & (one.high < 1)].min()) for one in (whole, few)]
+    assert lengths == [1 / 64, 1 / 8]
+    done = ExportedStraight(330, len(few), 40.0, Loss(40.0, 4, 0), Turn("Y", "Y"), 1000, 8.0, 1.0)
+    assert "straight pieces, none shorter than 1 s, which is all that memory allows; " in str(done)
 
 
 def test_a_freetime_file_has_the_names_and_units_of_its_layout():

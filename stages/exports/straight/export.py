@@ -19,7 +19,7 @@ from ..plain import compensated
 from ..splats import turn_of
 from ..web import pixel_width
 from .colors import fitting_colors
-from .pieces import pieces_of, still_pieces, turned_pieces
+from .pieces import halvings, pieces_of, still_pieces, turned_pieces
 from .soft import soft_pieces
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ MOMENTS = 0.0, 0.25, 0.5, 0.75, 1.0  # at which the file is compared with the mo
 class ExportedStraight:
     """gaussians: of the model; pieces: in the file. psnr: dB, what is decoded from the file against the model with Gaussians in place of
     its convexes, over `MOMENTS` of the clip. loss: what these Gaussians lose against the whole model. size: bytes. seconds: of the clip, 0
-    of a still."""
+    of a still. shortest: seconds of a piece below which none is cut, for want of memory; 0 without that limit."""
 
     gaussians: int
     pieces: int
@@ -52,11 +52,14 @@ class ExportedStraight:
     turn: Turn
     size: int
     seconds: float
+    shortest: float
 
     def __str__(self) -> str:
         size = f"{self.size / 1e6:.2f} MB" + (f", {self.size / 1e6 / self.seconds:.2f} MB a second" if self.seconds else "")
         decoded = f"{self.psnr:.1f} dB from the model's Gaussians when decoded" + (f", over {len(MOMENTS)} times" if self.seconds else "")
-        return f"{counted(self.gaussians, 'Gaussian')} in {counted(self.pieces, 'straight piece')}; {size}; {decoded}; {self.loss}"
+        pieces = counted(self.pieces, "straight piece")
+        pieces += f", none shorter than {self.shortest:.2g} s, which is all that memory allows" if self.shortest else ""
+        return f"{counted(self.gaussians, 'Gaussian')} in {pieces}; {size}; {decoded}; {self.loss}"
 
 
 def export_straight(
@@ -98,7 +101,9 @@ def export_straight(
     advance(1)
     count = len(model.gaussians) + len(model.convexes)
     loss = loss_of(baked, frames, moment or 0.0)
-    return ExportedStraight(count, len(pieces), psnr, loss, turn, len(data), clock.seconds if moves else 0.0)
+    levels, wanted = halvings(baked, times) if moves else (0, 0)
+    shortest = clock.span / (1 << levels) if levels < wanted else 0.0
+    return ExportedStraight(count, len(pieces), psnr, loss, turn, len(data), clock.seconds if moves else 0.0, shortest)
 
 
 @dataclass

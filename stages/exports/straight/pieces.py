@@ -41,10 +41,7 @@ class Samples:
         """Two pieces at least for each interval between two times of the capture can be told apart, if memory allows."""
         import torch
 
-        count = len(baked.model.gaussians) + len(baked.model.convexes)
-        levels = min(math.ceil(math.log2(max(times - 1, 1))) + EXTRA, MOST_LEVELS) if moves(baked) else 0
-        while levels > 1 and (2 << levels) * count * 56 > MOST_BYTES:
-            levels -= 1
+        count, (levels, _) = len(baked.model.gaussians) + len(baked.model.convexes), halvings(baked, times)
         found = [baked.at(k / (2 << levels)) for k in range((2 << levels) + 1)]
         names = "means", "quats", "scales", "opacities"
         means, quats, scales, opacities = (torch.stack([getattr(one, name) for one in found]) for name in names)
@@ -59,6 +56,15 @@ class Samples:
     @property
     def last(self) -> int:
         return len(self.means) - 1
+
+
+def halvings(baked: Baked, times: int) -> tuple[int, int]:
+    """How often the clip can be halved for a Gaussian as far as memory allows, and how often it would be without that limit."""
+    count = len(baked.model.gaussians) + len(baked.model.convexes)
+    wanted = levels = min(math.ceil(math.log2(max(times - 1, 1))) + EXTRA, MOST_LEVELS) if moves(baked) else 0
+    while levels > 1 and (2 << levels) * count * 56 > MOST_BYTES:
+        levels -= 1
+    return levels, wanted
 
 
 def pieces_of(baked: Baked, times: int, pixel: float) -> Pieces:
