@@ -36,6 +36,7 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{path.name}: one frame alone has no pose and no depth; pass a longer video of the scene")
     refuse_one(path.name, taken, total, options)
     step = taken[1] - taken[0]
+    some = f"all {total} video frames" if step == 1 else f"{len(taken)} of {total} video frames (every {step})"
     begin = header.seconds[0]
     hint = read_camera_matrix(root, CAMERA_MATRIX, header.width, header.height) if root.is_dir() else None
     return Reading(
@@ -48,7 +49,7 @@ def read(root: Path, options: Options) -> Reading:
         K_hint=hint,
         videos=(Video(path.name, 0, taken, total),),
         notes=(
-            f"took {len(taken)} of {total} video frames (every {step}); frames.every and frames.max_frames change it",
+            f"took {some}; frames.every and frames.max_frames change it",
             *told_together({path.name: header}),
         ),
     )
