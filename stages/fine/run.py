@@ -20,7 +20,7 @@ from ..shared.masks import measured_depth, moving_pixels
 from ..shared.model import read_model, write_model
 from ..shared.train import train
 from ..shared.training_log import write_training_log
-from .defaults import fine_iterations
+from .defaults import auto_lr_scale, fine_iterations
 from .settings import FineSettings
 
 
@@ -55,7 +55,7 @@ def train_fine(ctx: Context) -> None:
         budget=coarse.growth.budget or auto_budget(facts, views, model.motion.kind),
         most=None if coarse.growth.budget is None else max(0, coarse.growth.budget - len(model.convexes)),
         earlier=coarse.iterations - left_to_fine(coarse.strategy, coarse.iterations, facts.static),
-        lr_scale=1.0 if joint else settings.lr_scale,
+        lr_scale=1.0 if joint else auto_lr_scale(settings, facts),
         grow=joint,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(read_depth(ctx.inputs["seeds"]), unit, ctx, frames),

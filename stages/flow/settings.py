@@ -23,9 +23,7 @@ class FlowSettings(Settings):
     tolerance: float = Field(0.05, ge=0, le=10, description="px; RAFT stops after an update that changes the flow by less")
     preset: Literal["ultrafast", "fast", "medium"] = Field("medium", description="speed of DIS; medium is the most accurate")
     max_size: int | None = Field(960, ge=64, le=65_536, description="px; flow of larger pictures is computed at this longest side")
-    max_pairs: int | None = Field(
-        None, ge=0, le=1_000_000, description="most pairs of frames, spread evenly; none: 400, or 600 of one camera"
-    )
+    max_pairs: int | None = Field(None, ge=0, le=1_000_000, description="most pairs, spread evenly; none: 400, or 600 of one camera")
     detect_static: bool = Field(True, description="first check whether anything moves; if nothing does, no flow is measured")
     moving: bool = Field(
         True, description="masks of moving pixels in each frame: flow minus camera motion, or changes that a fixed camera sees"

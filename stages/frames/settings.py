@@ -29,7 +29,7 @@ class FramesSettings(Settings):
         "on a GPU",
     )
     max_frames: int | None = Field(
-        None, ge=2, le=1_000_000, description="most frames of a camera; none: 600 of one video, 200 of several or of a static one, else all"
+        None, ge=2, le=1_000_000, description="most frames of a camera; none: 600 of one video, 200 of several or static ones, else all"
     )
     every: int | None = Field(
         None, ge=1, le=1_000_000, description="take every N-th frame of a video or image sequence; max_frames is then ignored"

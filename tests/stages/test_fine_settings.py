@@ -10,7 +10,7 @@ from e4dgs.scene.settings import GrowthSettings, TrainingSettings
 from e4dgs.stages.coarse.artifact import StoredCoarse
 from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.fine.defaults import fine_iterations
+from e4dgs.stages.fine.defaults import auto_lr_scale, fine_iterations
 from e4dgs.stages.fine.run import training_settings
 from e4dgs.stages.fine.settings import FineSettings
 from e4dgs.stages.fine.stage import Fine
@@ -65,6 +65,15 @@ def test_the_trainer_of_fine_gets_both():
 def test_steps_of_fine():
     assert fine_iterations(FineSettings()) == 1500 and fine_iterations(FineSettings(effort=0.2)) == 300
     assert fine_iterations(FineSettings(iterations=7, effort=0.2)) == 7
+
+
+@pytest.mark.parametrize(("cameras", "static", "rate"), [(1, False, 0.1), (1, True, 0.3), (8, False, 0.3)])
+def test_fine_begins_gently_where_each_time_is_seen_once(cameras, static, rate):
+    facts = Facts(
+        frames=120, times=15 if cameras > 1 else 120, cameras=cameras, pairs=0 if static else 104, static=static, width=480, height=270
+    )
+    assert auto_lr_scale(FineSettings(), facts) == rate
+    assert auto_lr_scale(FineSettings(lr_scale=0.5), facts) == 0.5
 
 
 def test_large_clips_get_fewer_steps_of_fine_on_a_cpu():
