@@ -55,7 +55,8 @@ def pattern(height: int = 96, width: int = 128, seed: int = 0) -> np.ndarray:
         ({**BASE, "pairs": 1}, True, "1 pair of neighbouring frames"),
         ({**BASE, "static": True}, False, "static capture"),
         (BASE, True, "10 pairs"),
-        ({**BASE, "pairs": 9000}, True, "400 of 9000 pairs"),
+        ({**BASE, "pairs": 9000, "cameras": 1}, True, "600 of 9000 pairs"),
+        ({**BASE, "pairs": 9000, "cameras": 2}, True, "400 of 9000 pairs"),
     ],
 )
 def test_the_plan_says_whether_and_why(facts, needed, words):
