@@ -8,7 +8,7 @@ from e4dgs.pipeline import SettingsError
 from e4dgs.workflows.presets import PRESETS
 from e4dgs.workflows.timing.ladder import LEAST_REFINEMENT, LEAST_STEPS, REFINEMENT, rung
 from e4dgs.workflows.timing.resolve import PICTURES, TrainingTimes, choose, evaluation_within, refinement_within, shortest
-from e4dgs.workflows.timing.size import largest_that_fits, sizes
+from e4dgs.workflows.timing.size import frame_counts, largest_that_fits, most_that_fits, sizes
 from e4dgs.workflows.timing.steps.costs import StepCosts, merged
 from e4dgs.workflows.timing.steps.growth import Growth
 from e4dgs.workflows.timing.words import seconds_of, words_for
@@ -159,6 +159,18 @@ def test_pictures_are_scaled_only_where_there_is_no_time():
     assert largest_that_fits(96.0, sizes(960), needs.__getitem__)[::2] == (960, True)
     assert largest_that_fits(60.0, sizes(960), needs.__getitem__)[::2] == (480, True)
     assert largest_that_fits(10.0, sizes(960), needs.__getitem__) == (384, 38.4, False)
+
+
+def test_a_clip_loses_frames_before_its_pictures_get_small():
+    assert frame_counts(600) == [600, 300, 198, 120] and frame_counts(130) == [130, 65] and frame_counts(50) == [50]
+
+    def needs(count: int, side: int) -> float:
+        return side / 10 + count / 5
+
+    for seconds, *expected in ((216, 600, 960), (183, 600, 624), (182, 300, 960), (87, 120, 624), (63, 120, 384)):
+        count, found = most_that_fits(seconds, frame_counts(600), sizes(960), needs)
+        assert [count, found.side] == expected and found.fits
+    assert not most_that_fits(62, frame_counts(600), sizes(960), needs)[1].fits
 
 
 def test_costs_survive_a_file():

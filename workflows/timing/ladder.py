@@ -16,7 +16,7 @@ REFINEMENT = 1500  # steps of `fine` by default
 
 # The names of the settings that a time decides.
 STEPS, SHARE, REFINING = "coarse.iterations", "hulls.share", "fine.iterations"
-SIZE, MEASURED, MOVIES = "frames.max_size", "evaluate.measured", "evaluate.movie_frames"
+SIZE, FRAMES, MEASURED, MOVIES = "frames.max_size", "frames.max_frames", "evaluate.measured", "evaluate.movie_frames"
 _EFFORT, _FINE_EFFORT, _SHARE_BY_DEFAULT = "coarse.effort", "fine.effort", 0.2
 
 
