@@ -50,22 +50,22 @@ def picture(cam_from_world: np.ndarray, walker: float) -> np.ndarray:
     return np.repeat(np.clip(shown, 0, 255).astype(np.uint8)[..., None], 3, 2)
 
 
-def solved(frames: np.ndarray, registered: list[bool]) -> tuple[dict[str, np.ndarray], list[np.ndarray]]:
+def solved(frames: np.ndarray, registered: list[bool], path: np.ndarray = PATH) -> tuple[dict[str, np.ndarray], list[np.ndarray]]:
     """What structure from motion would give for ``frames`` of the path, and the pictures of all."""
-    pictures = [picture(one, 9.0 * i) for i, one in enumerate(PATH)]
+    pictures = [picture(one, 9.0 * i) for i, one in enumerate(path)]
     places, points, owner = [], [], []
     for k, i in enumerate(frames):
         found = cv2.goodFeaturesToTrack(pictures[i][..., 0], 200, 0.01, 4)
         assert found is not None
         xy = found[:, 0].astype(np.float64) + 0.5
         places.append(xy)
-        points.append(plane_points(cv2.undistortPoints(xy[:, None], K, BENT, P=K)[:, 0], PATH[i]))
+        points.append(plane_points(cv2.undistortPoints(xy[:, None], K, BENT, P=K)[:, 0], path[i]))
         owner.append(np.full(len(xy), k))
     known, n = np.array(registered), len(frames)
     return {
         "registered": known,
         "K": np.where(known[:, None, None], K, np.nan),
-        "cam_from_world": np.where(known[:, None, None], PATH[frames], np.nan),
+        "cam_from_world": np.where(known[:, None, None], path[frames], np.nan),
         "distortion": np.where(known[:, None], BENT, 0.0),
         "size": np.where(known[:, None], [WIDTH, HEIGHT], 0),
         "explained": np.ones(n),
@@ -75,6 +75,15 @@ def solved(frames: np.ndarray, registered: list[bool]) -> tuple[dict[str, np.nda
         "track_xy": np.concatenate(places).astype(np.float32),
         "seen": np.concatenate(owner).astype(np.int32),
     }, pictures
+
+
+def test_a_shake_out_and_back_between_two_frames_is_followed() -> None:
+    shaken = np.stack([pose(x, turn) for x, turn in [(0, 0), (0.08, 0.6), (0, 0), (0.05, 0.3), (0.1, 0)]])
+    frames = np.array([0, 2, 4])
+    arrays, pictures = solved(frames, [True, True, True], shaken)
+    whole = pose_between(frames, arrays, len(shaken), pictures.__getitem__, lambda: None)
+    off = np.linalg.norm(camera_centres(whole["cam_from_world"]) - camera_centres(shaken), axis=1)
+    assert off.max() < 0.01
 
 
 def test_frames_between_and_after_are_posed_by_the_points_in_them() -> None:

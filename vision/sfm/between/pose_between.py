@@ -1,8 +1,8 @@
 """`pose_between`: poses of the frames between those of which structure from motion found poses and points.
 
 The points' features in the nearest posed frame on either side are followed into a frame (Lucas and Kanade, IJCAI 1981), and the pose is
-the one under which the points lie there, by a robust adjustment that begins between the poses of the two. That takes some hundredths of
-a second, where features, matches and mapping take a second a frame.
+the one under which the points lie there, by a robust adjustment that begins between the poses of the two. That takes a small part of the
+time of features, matches and mapping (benchmarks/results/trials.md).
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from .resect import resect
 MOST = 600  # points of a posed frame that are followed: those of the longest tracks
 WINDOW, LEVELS = (21, 21), 3  # of the tracker: px, and halvings of the picture
 BACK = 0.0007  # of the longer side: what is followed there and back must come this near
-FITS = 0.002  # of the longer side: points nearer than this agree with the pose
+SCALE, FITS = 0.0004, 0.002  # of the longer side: of the loss; points nearer than the second agree with the pose
 FEWEST, SHARE = 30, 0.3  # least number and least share of the followed points that must agree
-LOOSE = 0.5  # standard deviation of a centre from where it is expected, relative to the distance between the posed frames' centres
+LOOSE = 0.5  # standard deviation of a centre from where it is expected, relative to how far the camera moves between posed frames
 
 
 class Posed(NamedTuple):
@@ -55,6 +55,8 @@ def pose_between(
     whole = spread(frames, arrays, count)
     grey = lru_cache(maxsize=3)(lambda i: cv2.cvtColor(picture(i), cv2.COLOR_RGB2GRAY))
     posed = lru_cache(maxsize=2)(lambda k: _posed(k, int(frames[k]), arrays))
+    steps = np.linalg.norm(np.diff(camera_centres(arrays["cam_from_world"]), axis=0), axis=1)
+    usual = float(np.median(steps[np.isfinite(steps)])) if np.isfinite(steps).any() else 0.0
     for i in np.setdiff1d(np.arange(count), frames).tolist():
         advance()
         after = min(int(np.searchsorted(frames, i)), len(frames) - 1)
@@ -67,7 +69,8 @@ def pose_between(
         expected = _expected(i, *ends)
         sights = [_followed(one, expected, lens, size, grey(one.frame), grey(i)) for one in near]
         apart = float(np.linalg.norm(np.diff(camera_centres(np.stack([one.cam_from_world for one in ends])), axis=0)))
-        pose = _pose(sights, expected, lens, float(size.max()), LOOSE * apart)
+        # a hand may shake out and back between two posed frames, which then lie in one place
+        pose = _pose(sights, expected, lens, float(size.max()), LOOSE * max(apart, usual))
         if pose is not None:
             whole["registered"][i], whole["cam_from_world"][i] = True, pose
             whole["K"][i], whole["distortion"][i], whole["size"][i] = *lens, size
@@ -139,6 +142,6 @@ def _pose(sights: list[tuple[np.ndarray, np.ndarray]], expected: np.ndarray, len
         return None
     straight = cv2.undistortPoints(places[:, None], lens.K, lens.distortion)[:, 0]
     focal = float(lens.K[0, 0])
-    pose, errors = resect(points, straight, expected, FITS / 5 * side / focal, loose)
+    pose, errors = resect(points, straight, expected, SCALE * side / focal, loose)
     agree = int((errors < FITS * side / focal).sum())
     return pose if agree >= max(FEWEST, SHARE * len(points)) else None
