@@ -9,7 +9,7 @@ from .settings import FineSettings
 
 ITERATIONS = 1500
 LEAST_ITERATIONS = 300
-LR_SCALE, LR_SCALE_ALONE = 0.3, 0.1  # along a path, each time is seen once, so few of these steps undo what larger rates move
+LR_SCALE, LR_SCALE_ALONE = 0.3, 0.1  # along a path each time is seen once, so larger rates undo more than so few steps mend
 
 
 def fine_iterations(settings: FineSettings, facts: Facts | None = None, device: str = "cpu") -> int:

@@ -21,7 +21,7 @@ SHARES = (1.0, 0.8, 0.65, 0.5, 0.4)  # of the longer side
 LEAST_SIDE = 320  # px; smaller pictures show too little
 FRAMES_LEFT = (1.0, 0.5, 0.33, 0.2)  # of a clip's frames
 LEAST_FRAMES = 60  # fewer lie too far apart
-THINNED_FIRST = 0.6  # of the longer side: before pictures get smaller, a clip loses frames, which what moves misses alone
+THINNED_FIRST = 0.6  # of the longer side: before pictures get smaller, a clip loses frames, which only what moves needs
 EVERY = "frames.every"
 
 

@@ -15,7 +15,7 @@ from ..video.probe import Header, probe, told_together
 
 __all__ = ["MOST_FRAMES", "Header", "choose", "decode", "detect", "probe", "read", "refuse_one"]
 
-MOST_FRAMES, MOST_OF_MOVING = 200, 600  # of a camera; of one that moves while other things do: what moves is a blur between its frames
+MOST_FRAMES, MOST_OF_MOVING = 200, 600  # of a camera; of a clip in which things move, as they are a blur between frames far apart
 
 
 def detect(root: Path) -> str | None:
