@@ -77,11 +77,11 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
     def sample(attribute: Usd.Attribute, code: float, array: np.ndarray, kind: Any) -> None:
         """Set a sample. Consecutive equal samples share one array, so values that do not change are stored once. The first is also the
         value of readers that ask for no time: without one they would find an empty scene."""
-        known = written.get(attribute.GetName())
-        if known is None:
-            attribute.Set(kind.FromNumpy(array))
+        before = known = written.get(attribute.GetName())
         if known is None or not np.array_equal(known[0], array):
             known = written[attribute.GetName()] = array, kind.FromNumpy(array)
+        if before is None:
+            attribute.Set(known[1])
         attribute.Set(known[1], Usd.TimeCode(code))
 
     before: Tensor | None = None
