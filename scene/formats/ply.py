@@ -16,17 +16,16 @@ LEAST_ALPHA = 1 / 255  # the rasterizer draws nothing below this
 COEFFICIENTS = 16  # of degree 3, which readers of this layout expect
 
 
-def ply_bytes(gaussians: Gaussians, comments: Sequence[str] = (), padded: bool = True) -> tuple[bytes, int]:
-    """The file with the visible ones among ``gaussians`` (with sh), and their number. comments: lines of its header. padded: write SH up to
-    degree 3, which are 0 above the degree of ``gaussians``; some readers expect all 45.
+def ply_bytes(gaussians: Gaussians, comments: Sequence[str] = ()) -> tuple[bytes, int]:
+    """The file with the visible ones among ``gaussians`` (with sh), and their number. comments: lines of its header. SH has degree 3 and is
+    0 above that of ``gaussians``: some readers expect all 45.
 
     Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_0.. (SH by channel, then coefficient), opacity
     (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit)."""
     shown = seen(gaussians)
     assert shown.sh is not None
     rows, sh = len(shown.means), shown.sh
-    if padded:
-        sh = torch.cat([sh, sh.new_zeros(rows, COEFFICIENTS - sh.shape[1], 3)], 1)
+    sh = torch.cat([sh, sh.new_zeros(rows, COEFFICIENTS - sh.shape[1], 3)], 1)
     logit = torch.logit(shown.opacities.clamp(LEAST_ALPHA / 2, 1 - 1e-6))
     return table_bytes(shown.means, sh, logit, shown.scales.log(), shown.quats, {}, comments), rows
 

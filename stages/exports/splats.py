@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ...pipeline import SettingsError, StageError
+from ...pipeline import StageError
 from ...pipeline.files import write_atomically
 from ...scene.formats.axes import Turn, nearest_axis
 from .bake import Loss, bake, loss_of
@@ -54,8 +54,8 @@ def export_splats(
 
     kind: one of `KINDS`; all but ply and gltf are slightly lossy. up: the axis of the file that points up in the scene, `UP` by default, or
     "capture" for the capture's own axes. antialiased: write the Gaussians of an antialiased model as they are; see `bake`. Nothing is left
-    of an export that does not come to its end, and an earlier sequence is replaced as a whole. Raises SettingsError if ``kind`` needs
-    a package that is not installed, and as `bake` does; OSError if a file cannot be written."""
+    of an export that does not come to its end, and an earlier sequence is replaced as a whole. Raises as `bake`
+    does; StageError if ``kind`` cannot hold a position; OSError if a file cannot be written."""
     if single and len(moments) != 1:
         raise ValueError(f"one file holds one time, not {len(moments)}")
     from ...scene.formats.spz import cut_by_spz
@@ -109,6 +109,7 @@ def encoder(kind: SplatFormat, turn: Turn | None = None, antialiased: bool = Fal
     from ...scene.formats.compressed_ply import compressed_ply_bytes
     from ...scene.formats.gltf import glb_bytes
     from ...scene.formats.ply import ply_bytes
+    from ...scene.formats.sog import sog_bytes
     from ...scene.formats.spz import spz_bytes
 
     if kind == "gltf":
@@ -119,27 +120,7 @@ def encoder(kind: SplatFormat, turn: Turn | None = None, antialiased: bool = Fal
         "ply": partial(ply_bytes, comments=comments),
         "compressed-ply": partial(compressed_ply_bytes, comments=comments),
         "spz": partial(spz_bytes, antialiased=antialiased),
+        "sog": partial(sog_bytes, antialiased=antialiased),
     }
-    write = writers[kind] if kind in writers else _sog_encoder(antialiased)
+    write = writers[kind]
     return lambda gaussians: write(gaussians if turn is None else turn(gaussians))
-
-
-def _sog_encoder(antialiased: bool) -> Callable[[Gaussians], tuple[bytes, int]]:
-    try:
-        import gaussforge
-    except ImportError as error:
-        raise SettingsError("export sog needs the package gaussforge; install it with: pip install 'e4dgs[splats]'") from error
-
-    from ...scene.formats.ply import ply_bytes
-    from ...scene.formats.sog import tagged_sog
-
-    forge = gaussforge.GaussForge()
-
-    def encode(gaussians: Gaussians) -> tuple[bytes, int]:
-        plain, number = ply_bytes(gaussians, padded=False)
-        converted = forge.convert(plain, "ply", "sog")
-        if "data" not in converted:
-            raise StageError(f"export sog: {converted.get('error', 'the conversion failed')}")
-        return tagged_sog(bytes(converted["data"]), antialiased), number
-
-    return encode

@@ -1,7 +1,10 @@
 """The compact files of Gaussians: what their parts promise; other programs read them in tests/workflows/test_export_readers.py."""
 
 import gzip
+import io
+import json
 import struct
+import zipfile
 
 import numpy as np
 import pytest
@@ -10,7 +13,10 @@ from e4dgs.rasterizer import Gaussians
 from e4dgs.scene.formats.compressed_ply import along_a_curve, compressed_ply_bytes
 from e4dgs.scene.formats.ply import ply_bytes
 from e4dgs.scene.formats.smallest_three import LARGEST, smallest_three
+from e4dgs.scene.formats.sog import sog_bytes
 from e4dgs.scene.formats.spz import MOST, cut_by_spz, fraction_bits, spz_bytes
+from e4dgs.scene.formats.tables import nearest_numbers, table_of_numbers, table_of_vectors
+from PIL import Image
 
 
 def gaussians(count: int = 100, degree: int = 3, far: float = 0.5) -> Gaussians:
@@ -79,9 +85,75 @@ def test_a_curve_keeps_neighbours_together():
     assert step < 0.3 * np.linalg.norm(np.diff(means, axis=0), axis=1).mean()
 
 
+def test_sog_of_nothing_is_a_gaussian_that_is_transparent():
+    made = gaussians(5)
+    made.opacities = torch.zeros(5)
+    file, rows = sog_bytes(made)
+    meta, images = sog_images(file)
+    assert (
+        rows == 0 and meta["count"] == 1 and meta["shN"]["bands"] == 3 and images["sh0"].shape == (1, 1, 4) and images["sh0"][0, 0, 3] == 0
+    )
+
+
 @pytest.mark.parametrize("writer", [ply_bytes, compressed_ply_bytes, spz_bytes])
 def test_nothing_to_be_seen_is_a_file_of_nothing(writer):
     made = gaussians(5)
     made.opacities = torch.zeros(5)
     file, rows = writer(made)
     assert rows == 0 and (b"element vertex 0\n" in file or gzip.decompress(file)[8:12] == b"\0\0\0\0")
+
+
+def sog_images(file: bytes) -> tuple[dict, dict[str, np.ndarray]]:
+    with zipfile.ZipFile(io.BytesIO(file)) as archive:
+        found = {name: archive.read(name) for name in archive.namelist()}
+    meta = json.loads(found.pop("meta.json"))
+    return meta, {name.partition(".")[0]: np.asarray(Image.open(io.BytesIO(data))).astype(int) for name, data in found.items()}
+
+
+@pytest.mark.parametrize(("degree", "antialiased"), [(0, False), (1, True), (3, False)])
+def test_sog_is_decoded_by_its_published_rules(degree, antialiased):
+    written = gaussians(500, degree, far=3.0)
+    file, rows = sog_bytes(written, antialiased)
+    assert sog_bytes(written, antialiased)[0] == file, "the same bytes each time"
+    meta, images = sog_images(file)
+    assert (meta["version"], meta["count"], meta["antialias"], "shN" in meta) == (2, rows, antialiased, degree > 0)
+    assert {name: image.shape[2] for name, image in images.items() if name in ("quats", "sh0")} == {"quats": 4, "sh0": 4}
+    flat = {name: image.reshape(-1, image.shape[2])[:rows] for name, image in images.items()}
+    share = (flat["means_l"] + 256 * flat["means_u"]) / 65535
+    curved = np.array(meta["means"]["mins"]) + share * np.ptp([meta["means"]["mins"], meta["means"]["maxs"]], axis=0)
+    means = np.sign(curved) * np.expm1(np.abs(curved))
+    nearest = np.linalg.norm(means[None] - written.means.numpy()[:, None], axis=2).argmin(1)
+    assert sorted(nearest) == list(range(rows))
+    np.testing.assert_allclose(means[nearest], written.means, atol=2e-4 * np.ptp(written.means.numpy()))
+    np.testing.assert_allclose(np.array(meta["scales"]["codebook"])[flat["scales"][nearest]], written.scales.log(), atol=0.01)
+    np.testing.assert_allclose(np.array(meta["sh0"]["codebook"])[flat["sh0"][nearest, :3]], written.sh[:, 0], atol=0.01)
+    assert (flat["sh0"][:, 3] == round(0.7 * 255)).all() and (flat["quats"][:, 3] >= 252).all()
+    if degree:
+        across = (degree + 1) ** 2 - 1
+        vectors = np.array(meta["shN"]["codebook"])[images["shN_centroids"]].reshape(-1, across, 3)
+        assert images["shN_centroids"].shape[1] == 64 * across and meta["shN"]["bands"] == degree
+        index = flat["shN_labels"][nearest, 0] + 256 * flat["shN_labels"][nearest, 1]
+        assert index.max() < meta["shN"]["count"] == rows, "each has its own where there is room"
+        np.testing.assert_allclose(vectors[index], written.sh[:, 1:], atol=0.02)
+
+
+def test_a_table_has_a_vector_for_each_group_of_like_rows():
+    rng = np.random.default_rng(2)
+    centres = rng.normal(size=(900, 45)).astype(np.float32)
+    rows = np.repeat(centres, 1 + np.arange(900) % 4, axis=0)
+    rows = (rows + 1e-3 * rng.normal(size=rows.shape)).astype(np.float32)[rng.permutation(len(rows))]
+    table, index = table_of_vectors(rows, 1000)
+    assert len(table) <= 1000 and np.unique(index).tolist() == list(range(len(table)))
+    assert np.abs(table[index] - rows).max() < 0.01
+    assert table_of_vectors(rows, len(rows))[0] is rows
+
+
+def test_a_table_of_numbers_is_dense_where_numbers_are_and_reaches_the_rare_ones():
+    rng = np.random.default_rng(3)
+    values = np.concatenate([0.1 * rng.normal(size=100_000), [-4.0, 4.0]])
+    table = table_of_numbers(values, 256)
+    error = np.abs(table[nearest_numbers(values, table)] - values)
+    even = 8 / 255
+    assert (np.diff(table) > 0).all() and error.max() < even and np.sqrt((error**2).mean()) < 0.5 * even / 12**0.5
+    few = table_of_numbers(np.array([3.0, 1.0, 3.0]), 256)
+    assert few[nearest_numbers(np.array([1.0, 3.0]), few)].tolist() == [1.0, 3.0] and len(few) == 256

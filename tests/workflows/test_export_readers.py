@@ -66,8 +66,6 @@ def agree(kind: str, written: Gaussians, read: Gaussians) -> None:
 
 @pytest.mark.parametrize("kind", PRECISION)
 def test_splat_transform_reads_what_was_written(kind, transform, tmp_path):
-    if kind == "sog":
-        pytest.importorskip("gaussforge")
     file = tmp_path / f"frame{KINDS[kind]}"
     file.write_bytes(encoder(kind)(gaussians())[0])
     agree(kind, gaussians(), readers.by_splat_transform(transform, file))

@@ -69,8 +69,7 @@ def test_nothing_is_mixed_with_numbered_files_of_others(finished, tmp_path, caps
     assert f"it has {name}" in " ".join(capsys.readouterr().err.split()) and [one.name for one in tmp_path.iterdir()] == [name]
 
 
-# The formats for the web round positions: SPZ and SOG to 2e-4 of the scene's size, compressed PLY to 3e-3. This reader writes SOG, too;
-# test_export_readers.py reads it with another.
+# The formats for the web round positions: SPZ and SOG to 2e-4 of the scene's size, compressed PLY to 3e-3.
 @pytest.mark.parametrize(
     ("words", "suffix", "tolerance"),
     [(["spz"], ".spz", 2e-4), (["sog"], ".sog", 2e-4), (["ply", "--compressed"], ".compressed.ply", 3e-3)],
@@ -111,13 +110,13 @@ def test_a_file_as_folder_is_refused(finished, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "name"), [(["ply"], "a.ply"), (["ply", "--compressed"], "a.ply"), (["spz"], "a.SPZ"), (["gltf"], "a.glb")]
+    ("words", "name"), [(["ply"], "a.ply"), (["ply", "--compressed"], "a.ply"), (["spz"], "a.SPZ"), (["sog"], "a.sog"), (["gltf"], "a.glb")]
 )
 def test_one_time_is_one_file(finished, tmp_path, words, name):
     command = ["export", words[0], *finished[1:], *words[1:], "--out", str(tmp_path / name)]
     assert main([*command, "--time", "0.3"]) == 0
     first = (tmp_path / name).read_bytes()
-    assert first[:3] in (b"ply", b"\x1f\x8b\x08", b"glT") and [f.name for f in tmp_path.iterdir()] == [name]
+    assert first[:3] in (b"ply", b"\x1f\x8b\x08", b"PK\x03", b"glT") and [f.name for f in tmp_path.iterdir()] == [name]
     assert main([*command, "--times", "1"]) == 0 and (tmp_path / name).read_bytes() != first, "the middle time"
 
 
