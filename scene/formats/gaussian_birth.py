@@ -118,7 +118,7 @@ def read_container(data: bytes) -> Callable[[float], Gaussians]:
         rest = torch.zeros(len(index), 0, 3).double()
         if kept.sh is not None:
             numbers = kept.sh[index].astype(np.float64) * (2 * RANGE / 255) - RANGE
-            rest = torch.tensor(numbers).reshape(len(index), 3, -1).transpose(1, 2)
+            rest = torch.tensor(numbers).reshape(len(index), 3, numbers.shape[1] // 3).transpose(1, 2)
         parts = (state["centers"], state["orientations"][:, [3, 0, 1, 2]], kept.scales[index], state["opacity"])
         means, quats, scales, opacities = (torch.tensor(np.asarray(part, np.float32)) for part in parts)
         return Gaussians(means, quats, scales, opacities, sh=torch.cat([dc[:, None], rest], 1).float())

@@ -38,7 +38,7 @@ def stage_turn(up: np.ndarray, wanted: str | None = None) -> Turn:
 
 
 def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[float], last_code: float, rate: float, turn: Turn) -> int:
-    """Write ``path`` (.usdc or .usda), completely or not at all, and return the number of Gaussians.
+    """Write ``path`` (.usdc or .usda), completely or not at all, and return the number of Gaussians. If that is 0, nothing is written.
 
     at: returns the Gaussians (with sh) at a time in [0, 1], always the same number in the same order. times: increasing; time t becomes
     time code t * last_code. rate: time codes a second. turn: that of /World, see `stage_turn`; its last axis is the stage's up axis (Y if
@@ -68,6 +68,8 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
 
     rows = [(seen_rows(moment), drawable_rows(moment)) for moment in map(at, times)]
     keep = torch.stack([seen for seen, _ in rows]).any(0) & torch.stack([drawable for _, drawable in rows]).all(0)
+    if not keep.any():
+        return 0
     splats = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/World/Splats")
     # Without it, colours are taken as linear. There is no token for display values; this one has their primaries and curve.
     Usd.ColorSpaceAPI.Apply(splats.GetPrim()).CreateColorSpaceNameAttr(Gf.ColorSpaceNames.SRGBRec709)
@@ -99,10 +101,9 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
         sample(splats.GetScalesAttr(), code, scales, Vt.Vec3fArray)
         sample(splats.GetOpacitiesAttr(), code, as_float32(moment.opacities[keep].clamp(0, 1)), Vt.FloatArray)
         sample(splats.GetRadianceSphericalHarmonicsCoefficientsAttr(), code, sh.reshape(-1, 3), Vt.Vec3fArray)
-        if len(means):
-            reach = REACH * scales.max(1, keepdims=True)
-            extent = np.stack([(means - reach).min(0), (means + reach).max(0)])
-            sample(splats.GetExtentAttr(), code, extent, Vt.Vec3fArray)
+        reach = REACH * scales.max(1, keepdims=True)
+        extent = np.stack([(means - reach).min(0), (means + reach).max(0)])
+        sample(splats.GetExtentAttr(), code, extent, Vt.Vec3fArray)
     splats.GetRadianceSphericalHarmonicsDegreeAttr().Set(sh_degree)
     splats.GetProjectionModeHintAttr().Set("perspective")
     splats.GetSortingModeHintAttr().Set("zDepth")

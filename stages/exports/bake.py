@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...pipeline import SettingsError, counted
+from ...pipeline import SettingsError, StageError, counted
 from .capture_cameras import camera_of, distinct_views
 from .plain import PlainLook, compensated
 
@@ -58,6 +59,14 @@ class Loss:
         mode = "antialiased (compensated opacity)" if self.antialiased else "classic (0.3 px² added)"
         said = f"{self.psnr:.1f} dB from the full model in {mode} viewers, {counted(self.cameras, 'camera')}"
         return f"{counted(self.convexes, 'convex became a Gaussian', 'convexes became Gaussians')}: {said}" if self.convexes else said
+
+
+def nothing_visible(what: str, moments: Sequence[float]) -> StageError:
+    """The error of ``e4dgs export what`` if no primitive can be seen at any of ``moments``."""
+    when = f"at time {moments[0]:g}" if len(moments) == 1 else f"at any of {len(moments)} times"
+    return StageError(
+        f"export {what}: nothing is visible {when}; look at other times (e4dgs view), and give one as --time, or train for longer"
+    )
 
 
 def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:

@@ -13,7 +13,7 @@ import numpy as np
 from ...pipeline import StageError
 from ...pipeline.files import write_atomically
 from ...scene.formats.axes import Turn, nearest_axis
-from .bake import Loss, bake, loss_of
+from .bake import Loss, bake, loss_of, nothing_visible
 from .numbered import new_sequence, numbered, write_index
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ UP: dict[SplatFormat, str] = {"ply": "-Y", "compressed-ply": "-Y", "spz": "Y", "
 
 @dataclass
 class Exported:
-    """fewest, most: number of Gaussians per file. turn: from the capture's axes to those of the files. loss: how far the first file is from
-    the model, before rounding. notes: what the format cuts in it, a line each."""
+    """fewest, most: number of Gaussians per file. turn: from the capture's axes to those of the files. loss: how far the first file that
+    shows something is from the model, before rounding. notes: what the format cuts in it, and which files are empty, a line each."""
 
     fewest: int
     most: int
@@ -55,7 +55,7 @@ def export_splats(
     kind: one of `KINDS`; all but ply and gltf are slightly lossy. up: the axis of the file that points up in the scene, `UP` by default, or
     "capture" for the capture's own axes. antialiased: write the Gaussians of an antialiased model as they are; see `bake`. Nothing is left
     of an export that does not come to its end, and an earlier sequence is replaced as a whole. Raises as `bake`
-    does; StageError if ``kind`` cannot hold a position; OSError if a file cannot be written."""
+    does; StageError if nothing is visible or ``kind`` cannot hold a position; OSError if a file cannot be written."""
     if single and len(moments) != 1:
         raise ValueError(f"one file holds one time, not {len(moments)}")
     from ...scene.formats.spz import cut_by_spz
@@ -70,8 +70,10 @@ def export_splats(
             data, number = encode(baked.at(t))
         except ValueError as error:
             raise StageError(f"export {kind}: {file.name}: {error}; export ply instead") from error
-        write_atomically(file, data)
         rows.append(number)
+        if len(rows) == len(moments) and not any(rows):
+            raise nothing_visible(kind, moments)
+        write_atomically(file, data)
         advance(1)
 
     if single:
@@ -82,8 +84,12 @@ def export_splats(
                 write(numbered(folder, k, KINDS[kind]), t)
             about = {"format": kind, "up": turn.after, "antialiased": antialiased, **origin_of(frames)}
             write_index(folder, KINDS[kind], moments, float(np.ptp(frames.seconds)), about)
-    notes = cut_by_spz(baked.at(moments[0])) if kind == "spz" else []
-    return Exported(min(rows), max(rows), turn, loss_of(baked, frames, moments[0]), notes)
+    empty, first = [k for k, number in enumerate(rows) if not number], moments[next(k for k, number in enumerate(rows) if number)]
+    notes = cut_by_spz(baked.at(first)) if kind == "spz" else []
+    if empty:
+        where = f"time {moments[empty[0]]:g} ({numbered(out, empty[0], KINDS[kind]).name})"
+        notes.append(f"nothing is visible at {len(empty)} of {len(rows)} times, first at {where}; there the files show nothing")
+    return Exported(min(rows), max(rows), turn, loss_of(baked, frames, first), notes)
 
 
 def origin_of(frames: FrameSet) -> dict[str, list[float]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...pipeline import SettingsError
 from ...scene.formats.axes import Turn
-from .bake import Loss, bake, loss_of
+from .bake import Loss, bake, loss_of, nothing_visible
 
 if TYPE_CHECKING:
     from ...rasterizer import Gaussians
@@ -45,7 +45,8 @@ def export_usd(
     """Writes ``path`` (.usdc or .usda) with time samples at ``moments``, increasing, in [0, 1]; see `write_usd`.
 
     times: number of times of the capture; time codes are its frames, counted from 0. up: see `stage_turn`. antialiased: see `bake`.
-    ``advance`` is called twice per sample. Raises SettingsError if usd-core is not installed, or for another ``up``.
+    ``advance`` is called twice per sample. Raises SettingsError if usd-core is not installed, or for another ``up``;
+    StageError if nothing is visible.
     """
     try:
         from pxr import UsdVol
@@ -70,4 +71,6 @@ def export_usd(
     seconds = float(np.ptp(frames.seconds))
     rate = (times - 1) / seconds if times > 1 and seconds > 0 else USUAL_RATE
     number = write_usd(path, at, moments, float(times - 1), rate, turn)
+    if not number:
+        raise nothing_visible("usd", moments)
     return ExportedUsd(number, rate, turn, loss_of(baked, frames, moments[0]))

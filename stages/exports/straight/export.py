@@ -13,7 +13,7 @@ import numpy as np
 from ....pipeline import SettingsError, counted
 from ....pipeline.files import write_atomically
 from ....scene.formats.axes import Turn
-from ..bake import Loss, bake, loss_of
+from ..bake import Loss, bake, loss_of, nothing_visible
 from ..capture_cameras import camera_of, distinct_views
 from ..plain import compensated
 from ..splats import turn_of
@@ -74,7 +74,8 @@ def export_straight(
     advance: Callable[[int], None] = lambda n: None,
 ) -> ExportedStraight:
     """Writes ``out``. times: of the capture. moment: only this time in [0, 1], as a still. up, antialiased: see `export_splats`.
-    ``advance`` is called after each of four parts. Raises SettingsError if a package is missing, and as `bake` does."""
+    ``advance`` is called after each of four parts. Raises SettingsError if a package is missing, StageError if nothing is
+    visible, and as `bake` does."""
     if kind == "4dgs":
         try:
             import fourdgs  # noqa: F401 - checked before the work begins
@@ -90,6 +91,8 @@ def export_straight(
         pieces = (pieces_of if kind == "4dgs" else soft_pieces)(baked, times, pixel_width(frames, target))
     else:
         pieces = still_pieces(baked, moment or 0.0)
+    if not len(pieces):
+        raise nothing_visible("4dgs" if kind == "4dgs" else "ply --freetime", range(times) if moves else [moment or 0.0])
     if kind == "4dgs":
         pieces = fitting_colors(pieces, eyes_of(frames))
     advance(1)
