@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ....pipeline import CaptureError
 from .. import checks
+from ..brackets import middle_exposures
 from ..keep_masks import add_masks, turn_masks
 from ..listing import copies
 from ..listing.kinds import PICTURE, colour_only, kind_of
@@ -40,7 +41,10 @@ def read(root: Path, options: Options) -> Reading:
     listed = [prefix + name for name in _images(root / folder)]
     copied = copies.named_copies(root, listed)
     found, deep, said = without_depth(root, [name for name in listed if name not in copied])
+    found, dimmer, bracketed = middle_exposures(root, found)
     if len(found) < 2:
+        if dimmer:
+            raise CaptureError(f"{root}: {bracketed[0]}. One view alone has no pose and no depth; add more views of the scene")
         if found and (pictures := several(root / found[0])) is not None:
             raise CaptureError(apart(root / found[0], pictures))
         raise CaptureError(f"{root}: one image alone has no pose and no depth; add more views of the scene{described(root, 2)}")
@@ -76,8 +80,8 @@ def read(root: Path, options: Options) -> Reading:
         sources=(*([prefix + CAMERA_MATRIX] if hint is not None else []), *copied),
         K_hint=hint,
         upright=upright,
-        notes=(*thinned, *decimals, *order, *told(root, paths), *copies.told(copied, "pictures"), *said, *masked),
-        spoken_for=deep,
+        notes=(*thinned, *decimals, *order, *told(root, paths), *copies.told(copied, "pictures"), *said, *bracketed, *masked),
+        spoken_for=(*deep, *dimmer),
     )
 
 
