@@ -452,3 +452,30 @@ def test_copies_of_one_video_are_no_rig(videos_capture, tmp_path):
         shutil.copy(source, tmp_path / name)
     with pytest.raises(CaptureError, match=r"copies of one, byte for byte; pass that one: .*/a\.mp4"):
         recognise(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("colour", "bands"),
+    [
+        ("DJI_20240101120000_00{0}0_D.JPG", [f"DJI_20240101120000_00{{0}}0_MS_{band}.TIF" for band in ("G", "R", "RE", "NIR")]),
+        ("DJI_00{0}0.JPG", [f"DJI_00{{0}}{k}.TIF" for k in range(1, 6)]),
+    ],
+)
+def test_of_a_multispectral_camera_only_the_colour_pictures_are_read(tmp_path, colour, bands):
+    for k in range(1, 4):
+        Image.new("RGB", (16, 12), (k, 0, 0)).save(tmp_path / colour.format(k))
+        for band in bands:
+            Image.fromarray(np.full((8, 10), 1000 * k, np.uint16)).save(tmp_path / band.format(k))
+    found = recognise(tmp_path)
+    assert list(found.files) == [colour.format(k) for k in range(1, 4)]
+    first = min(band.format(1) for band in bands)
+    assert lines(tmp_path) == [
+        f"{3 * len(bands)} pictures of one band of light (first {first}) are not read, because colours are learned from the colour "
+        "pictures of the same views"
+    ]
+
+
+def test_bands_alone_are_pictures_like_others(tmp_path):
+    for k in range(1, 4):
+        Image.fromarray(np.full((8, 10), 1000 * k, np.uint16)).save(tmp_path / f"DJI_00{k}0_MS_NIR.TIF")
+    assert len(recognise(tmp_path).files) == 3 and lines(tmp_path) == []

@@ -66,6 +66,9 @@ ROLES = {  # words in names of files and folders that say what a picture or an a
     "confidence": ("confidence", "confidences", "conf", "covisible"),
     "optical flow": ("flow", "flows", "optflow"),
 }
+# Of DJI's multispectral cameras: DJI_0010_MS_NIR.TIF beside DJI_0010_D.JPG, or DJI_0011.TIF to DJI_0015.TIF beside DJI_0010.JPG.
+_BAND = re.compile(r"(.+)_ms_(?:b|g|r|re|nir)\.tiff?|(dji_\d+)[1-5]\.tiff?")
+_VISIBLE = re.compile(r"(.+)_d\.jpe?g|(dji_\d+)0\.jpe?g")
 _COLOUR = ("color", "colour", "rgb", "image", "img", "left", "frame", "frames", "photo", "picture", "pic")
 _ARRAYS = (".npy", ".npz", ".pfm", ".exr", ".flo", ".tiff", ".tif", ".pgm", ".dpt", ".raw")
 _CLOUDS = (".ply", ".las", ".laz", ".pcd", ".e57", ".pts", ".ptx", ".xyz")
@@ -135,6 +138,7 @@ LOW = FileKind(
     "video",
     "pass the video in full resolution, or rename them to end in .mp4",
 )
+BAND = FileKind("picture of one band of light", "pictures of one band of light", "picture")  # of multispectral cameras
 COPY = FileKind("picture in another size", "pictures in another size", "picture")
 _OTHERS = (
     ("point cloud", "point clouds", lambda name: name.endswith(_CLOUDS)),
@@ -172,7 +176,7 @@ def kind_of(path: str) -> FileKind | None:
     if suffix == ".thm":
         return THUMBNAIL
     if is_image(name):
-        return PICTURE
+        return BAND if _BAND.fullmatch(name) else PICTURE
     if is_video(name):
         return VIDEO
     if name.endswith(ARCHIVES):
@@ -205,8 +209,10 @@ def _role_of_word(word: str) -> str | None:
 
 
 def colour_only(names: list[str]) -> list[str]:
-    """`names` of pictures in one folder without those that show depth, masks or normals of another one: their names have a word that says
-    so, and are otherwise the same (`rgb_01.jpg` and `depth_01.png`)."""
+    """`names` of pictures in one folder without those that show depth, masks, normals or one band of light of another one: their names
+    have a word that says so, and are otherwise the same (`rgb_01.jpg` and `depth_01.png`)."""
+    visible = {match.groups() for name in names if (match := _VISIBLE.fullmatch(name.lower()))}
+    names = [name for name in names if not ((match := _BAND.fullmatch(name.lower())) and match.groups() in visible)]
     others = {name for name in names if role_of(name) is not None}
     if not others:
         return names

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ....pipeline import CaptureError
-from .kinds import COPY, LOW, MODEL, OTHER_POSE, PICTURE, POSE, THUMBNAIL, VIDEO, FileKind, clip_of, kind_of
+from .kinds import BAND, COPY, LOW, MODEL, OTHER_POSE, PICTURE, POSE, THUMBNAIL, VIDEO, FileKind, clip_of, kind_of
 from .names import is_image, natural_key
 from .sidecars import posed_sidecars
 from .tree import MOST_DEEP, MOST_FILES, tree
@@ -64,7 +64,7 @@ def _groups(
         if ((folder in models or folder in told) and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
             continue
         kind = OTHER_POSE if path in sidecars else kind_of(path)
-        if kind is None or (thinned and kind.group == "picture" and not kind.advice and folder in beside):
+        if kind is None or (thinned and kind.group == "picture" and kind is not BAND and not kind.advice and folder in beside):
             continue
         groups.setdefault(COPY if kind is PICTURE and folder not in folders and _copies(folder, folders) else kind, []).append(path)
     return groups, models
@@ -146,6 +146,8 @@ def _line(kind: FileKind, paths: list[str], layout: str, read: set[str], models:
             return f"{text}; each has the name of a picture that is read"
     if kind is THUMBNAIL:
         return text
+    if kind is BAND:
+        return f"{text}, because colours are learned from the colour pictures of the same views"
     if kind is LOW and {clip_of(path) for path in paths} <= {clip_of(path) for path in read if kind_of(path) is VIDEO}:
         return f"{text}; {'the video itself is' if len(paths) == 1 else 'the videos themselves are'}"
     if kind.advice and not (kind is OTHER_POSE and layout in (*_POSED_PICTURES, "n3v")):  # which have poses already
