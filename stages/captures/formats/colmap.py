@@ -21,7 +21,7 @@ from ..posed.stated import states_layout
 from ..reading import Options, Reading, Shot
 from ..rigs import all_fixed, folders_of, place_untimed
 from . import n3v
-from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places, told_twice
+from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places, place_frames, told_twice
 
 _OWN = ("sparse/0", "sparse")  # a model here makes a capture COLMAP's, whatever lies beside it
 _SMALLER = re.compile(r"images_\d+")  # copies of the pictures, as Mip-NeRF 360 and LLFF have them
@@ -44,7 +44,7 @@ def read(root: Path, options: Options) -> Reading:
     if model is None:
         raise CaptureError(f"{root}: no sparse/0 with cameras and images beside images/, which a COLMAP capture needs; pass its folder")
     where = model.place.folder or "the folder"
-    files = {part: model.place.file(part) for part in ("cameras", "images", "points3D")}
+    files = {part: model.place.file(part) for part in ("cameras", "images", "points3D", "frames")}
     cameras, images, table = model.cameras, model.images, model.points
     if not images:
         raise CaptureError(f"{files['images']}: no registered image; run structure from motion again")
@@ -55,7 +55,10 @@ def read(root: Path, options: Options) -> Reading:
     sizes, alpha = checks.image_headers(root, paths)
     found_at = zip(found.paths.items(), sizes, strict=True)
     shots = [_shot(root, images[i], path, size, cameras, files) for (i, path), size in found_at]
-    placed = place_untimed(root, shots, options.static, options.fps, deleted)
+    registered = [images[i] for i in found.paths]
+    placed, unfollowed = place_frames(model, registered, shots, options.fps)
+    if placed is None:
+        placed = place_untimed(root, shots, options.static, options.fps, deleted)
     masked = add_masks(root, shots, model.pictures)
     copies = _copies(root, model.pictures)
     notes = (
@@ -64,17 +67,18 @@ def read(root: Path, options: Options) -> Reading:
         *told_twice(model),
         *found.notes,
         *placed.notes,
+        *([unfollowed] if unfollowed else []),
         *masked,
         *copies[0],
         *_told(root, model, paths, where),
     )
     cameras_told = f"{len({shot.camera for shot in shots})} cameras" if placed.several else "one camera over time"
-    has_points = (root / files["points3D"]).is_file()
+    there = [file for part, file in files.items() if part in ("cameras", "images") or (root / file).is_file()]
     return Reading(
         why=f"a COLMAP model in {where}, {'a static scene' if options.static else cameras_told}",
         shots=shots,
         alpha=alpha,
-        sources=(*(file for part, file in files.items() if part != "points3D" or has_points), *others, *placed.others),
+        sources=(*there, *others, *placed.others),
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
         fixed_cameras=all_fixed(shots),

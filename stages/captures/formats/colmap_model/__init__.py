@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from .frames import place_frames
 from .lenses import lens_of
 from .places import Model, Place, choose, model_places
 from .records import ImageRecord
 from .rig import model_of_cameras
 from .twice import told_twice
 
-__all__ = ["ImageRecord", "Model", "Place", "choose", "lens_of", "model_of_cameras", "model_places", "told_twice"]
+__all__ = ["ImageRecord", "Model", "Place", "choose", "lens_of", "model_of_cameras", "model_places", "place_frames", "told_twice"]

@@ -11,9 +11,10 @@ import numpy as np
 
 from .....pipeline import CaptureError
 from ...arrays import MOST_POINTS
-from .records import LAYOUT, MODELS, MOST_IMAGES, CameraRecord, ImageRecord, refusal, too_many_points
+from .records import LAYOUT, MODELS, MOST_IMAGES, CameraRecord, FrameRecord, ImageRecord, refusal, too_many_points
 
 _LONGEST_NAME = 4096
+_CAMERA = 0  # among kinds of sensors
 
 
 class _Bytes:
@@ -70,10 +71,18 @@ def cameras(path: Path) -> Iterator[tuple[int, CameraRecord]]:
 def images(path: Path) -> Iterator[ImageRecord]:
     source = _Bytes(path)
     for _ in range(source.count("images", MOST_IMAGES, 73)):
-        _, *pose, camera = source.take("i7di")
+        number, *pose, camera = source.take("i7di")
         name = source.name()
         source.skip(24 * source.take("Q")[0])
-        yield ImageRecord(name, camera, np.array(pose))
+        yield ImageRecord(name, camera, np.array(pose), number)
+
+
+def frames(path: Path) -> Iterator[FrameRecord]:
+    source = _Bytes(path)
+    for _ in range(source.count("frames", MOST_IMAGES, 68)):
+        number, rig, *_, count = source.take("II7dI")
+        data = [source.take("iIQ") for _ in range(count)]
+        yield FrameRecord(number, rig, {sensor: image for kind, sensor, image in data if kind == _CAMERA})
 
 
 def points(path: Path) -> Iterator[list[float]]:

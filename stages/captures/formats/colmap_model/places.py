@@ -17,7 +17,7 @@ from .....pipeline import CaptureError
 from ... import checks
 from ...arrays import MOST_POINTS
 from . import binary, text
-from .records import CameraRecord, ImageRecord, too_many_points
+from .records import CameraRecord, FrameRecord, ImageRecord, too_many_points
 
 _FIRST = ("sparse", "sparse_", "colmap", "colmap_sparse", "dense", "undistorted", "distorted")  # folders of models, in this order
 _DEPTH = 4
@@ -106,6 +106,15 @@ class Model:
                     f"{len(found)} lines is read as an image"
                 )
         return sorted(found, key=lambda image: checks.natural_key(image.name))
+
+    @cached_property
+    def frames(self) -> list[FrameRecord]:
+        """In the order of their numbers; none in a model of COLMAP before 3.12."""
+        file = self.place.file("frames")
+        if not (self.place.root / file).is_file():
+            return []
+        with _about(file):
+            return sorted(self._parser.frames(self._path(file)), key=lambda frame: frame.number)
 
     @cached_property
     def points(self) -> np.ndarray:

@@ -28,6 +28,7 @@ class ImageRecord:
     name: str
     camera: int
     pose: np.ndarray  # [7] qw qx qy qz tx ty tz, cam_from_world
+    number: int  # its id, by which frames name it
 
     def cam_from_world(self, where: str) -> np.ndarray:
         """[4,4]. Raises CaptureError, which begins with ``where``."""
@@ -35,6 +36,15 @@ class ImageRecord:
         matrix[:3, :3] = rotation(self.pose[:4], where)
         matrix[:3, 3] = self.pose[4:7]
         return checks.rigid(matrix, where)
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """What the cameras of a rig took at one time (COLMAP 3.12 and later). images: the number of each one's image, by the camera's."""
+
+    number: int
+    rig: int
+    images: dict[int, int]
 
 
 def refusal(model: str) -> str:

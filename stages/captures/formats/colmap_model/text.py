@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .records import CameraRecord, ImageRecord
+from .records import CameraRecord, FrameRecord, ImageRecord
 
 _LONGEST_LINE = 2**26  # characters; the line of an image's features lists about ten thousand of them
 _WHOLE = 2**16  # characters; of longer lines of features only both ends are checked
@@ -74,11 +74,23 @@ def points(path: Path) -> Iterator[list[float]]:
             yield [_float(word, number) for word in words[1:7]]
 
 
+def frames(path: Path) -> Iterator[FrameRecord]:
+    for number, line in _lines(path):
+        if line:
+            words = line.split()
+            if len(words) < 10 or len(words) != 10 + 3 * _int(words[9], number):
+                raise ValueError(f"line {number} is no frame of a rig")
+            data = zip(words[10::3], words[11::3], words[12::3], strict=True)
+            images = {_int(sensor, number): _int(image, number) for kind, sensor, image in data if kind == "CAMERA"}
+            yield FrameRecord(_int(words[0], number), _int(words[1], number), images)
+
+
 def _image(line: str, number: int) -> ImageRecord:
     parts = line.split(maxsplit=9)
     if len(parts) < 10:
         raise ValueError(f"line {number} has {len(parts)} words, an image has ten")
-    return ImageRecord(parts[9], _int(parts[8], number), np.array([_float(v, number) for v in parts[1:8]], dtype=np.float64))
+    pose = np.array([_float(v, number) for v in parts[1:8]], dtype=np.float64)
+    return ImageRecord(parts[9], _int(parts[8], number), pose, _int(parts[0], number))
 
 
 def _looks_like_image(line: str) -> bool:
