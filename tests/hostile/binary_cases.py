@@ -44,6 +44,16 @@ def _colmap_binary() -> Iterator[Case]:
         yield Case(
             f"points3D.bin: {value}", "colmap", _at("sparse/0/points3D.bin", 16, struct.pack("<d", value)), names=("sparse/0/points3D.bin",)
         )
+    frame = struct.pack("<QII7dI", 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 2)
+    frames = {
+        "a billion": struct.pack("<Q", 10**9),
+        "cut": frame + bytes(20),
+        "of 2^32 pictures": frame[:-4] + b"\xff" * 4 + bytes(100),
+    }
+    file = "sparse/0/frames.bin"
+    for what, content in frames.items():
+        yield Case(f"{file}: {what}", "colmap", replace(file, content), names=(file,))
+        yield Case(f"{file}: {what}, a terabyte", "colmap", sparse(file, head=content), names=() if what == "cut" else (file,))
     yield Case(f"{image}: 2^60 features", "colmap", patch(image, b"1.png\0", 6, struct.pack("<Q", 2**60)), names=(image,))
     yield Case(f"{image}: a name without an end", "colmap", _at(image, 72, b"x" * 2000), names=(image,))
     for what, name in {"control": b"\n\x1b.pg", "no UTF-8": b"\xff\xfe.pg", "up": b"../ab", "none": b"\0\0\0\0\0"}.items():

@@ -14,6 +14,7 @@ from ...arrays import MOST_POINTS
 from .records import LAYOUT, MODELS, MOST_IMAGES, CameraRecord, FrameRecord, ImageRecord, refusal, too_many_points
 
 _LONGEST_NAME = 4096
+_MOST_SENSORS = 100_000  # of a rig
 _CAMERA = 0  # among kinds of sensors
 
 
@@ -81,6 +82,8 @@ def frames(path: Path) -> Iterator[FrameRecord]:
     source = _Bytes(path)
     for _ in range(source.count("frames", MOST_IMAGES, 68)):
         number, rig, *_, count = source.take("II7dI")
+        if count > _MOST_SENSORS:
+            raise ValueError(f"frame {number} has {count} pictures")
         data = [source.take("iIQ") for _ in range(count)]
         yield FrameRecord(number, rig, {sensor: image for kind, sensor, image in data if kind == _CAMERA})
 
