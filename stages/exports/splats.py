@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ...pipeline import StageError
+from ...pipeline import SettingsError, StageError
 from ...pipeline.files import write_atomically
 from ...scene.formats.axes import Turn, nearest_axis
 from .bake import Loss, bake, loss_of, nothing_visible
@@ -111,13 +111,20 @@ def encoder(kind: SplatFormat, turn: Turn | None = None, antialiased: bool = Fal
     """A function from Gaussians to the bytes of a file of ``kind`` and the number of Gaussians in it.
 
     turn: from their axes to those of the file; none is turned without it. In a .glb file the node turns, and the Gaussians stay as they
-    are. antialiased: say in the file, where the format can, that they are meant for renderers that compensate opacity."""
+    are. antialiased: say in the file, where the format can, that they are meant for renderers that compensate opacity.
+    Raises SettingsError if Pillow cannot write the images of a .sog file."""
+    from PIL import features
+
     from ...scene.formats.compressed_ply import compressed_ply_bytes
     from ...scene.formats.gltf import glb_bytes
     from ...scene.formats.ply import ply_bytes
     from ...scene.formats.sog import sog_bytes
     from ...scene.formats.spz import spz_bytes
 
+    if kind == "sog" and not features.check("webp"):
+        raise SettingsError(
+            "export sog needs Pillow with WebP, which its wheels have: pip install --force-reinstall --only-binary :all: pillow"
+        )
     if kind == "gltf":
         return partial(glb_bytes, turn=turn)
     # Brush and splat-transform (3.2 and later) read this comment, and write it.

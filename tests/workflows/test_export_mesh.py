@@ -56,6 +56,15 @@ def test_several_times_are_numbered_files_or_one_that_plays(finished, tmp_path):
     assert [len(shape.vertices) for shape in read.geometry.values()] == sizes
 
 
+@pytest.mark.parametrize("out", ["a.glb", "a.ply", "folder"])
+def test_hulls_of_nothing_are_an_error(finished, tmp_path, monkeypatch, capsys, out):
+    nothing = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32), np.zeros((0, 3), np.int32))
+    monkeypatch.setattr("e4dgs.stages.exports.mesh.hulls", lambda model, t, advance: nothing)
+    assert export(finished, "--convexes", "--time", 0.25, "--out", tmp_path / out) != 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "nothing is visible at time 0.25" in said and "--time" in said and not list(tmp_path.iterdir())
+
+
 def test_what_brings_open3d_is_named_where_it_is_not_there(finished, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "open3d", None)
     assert export(finished, "--time", 0.25, "--out", tmp_path / "scene.ply") == 1

@@ -97,18 +97,22 @@ def mesh(
 def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool, turn: Turn) -> list[int]:
     """Writes ``meshes`` at ``moments`` in [0, 1] to ``target``: a .glb file with all of them, a .ply file with one, or a folder of numbered
     .ply files in place of those of an earlier export. turn: from the capture's axes to those of the files. Returns the number of triangles
-    of each."""
+    of each. Raises StageError if there is none at any moment."""
     from ...scene.mesh import mesh_glb_bytes, mesh_ply_bytes
+    from ...stages.exports.bake import nothing_visible
     from ...stages.exports.numbered import new_sequence, numbered, write_index
     from ...stages.exports.splats import origin_of
 
+    if single:
+        whole = list(meshes)
+        if not any(len(one.triangles) for one in whole):
+            raise nothing_visible("mesh", moments)
     if single and target.suffix.lower() == ".glb":
         seconds = float(np.ptp(trained.frames.seconds)) or (trained.times - 1) / USUAL_RATE
-        whole = list(meshes)
         write_atomically(target, mesh_glb_bytes(whole, [t * seconds for t in moments], turn))
         return [len(one.triangles) for one in whole]
     if single:
-        (one,) = meshes
+        (one,) = whole
         write_atomically(target, mesh_ply_bytes(one, turn))
         return [len(one.triangles)]
     triangles = []
@@ -116,6 +120,8 @@ def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[flo
         for k, one in enumerate(meshes):
             write_atomically(numbered(folder, k, ".ply"), mesh_ply_bytes(one, turn))
             triangles.append(len(one.triangles))
+        if not any(triangles):
+            raise nothing_visible("mesh", moments)
         about = {"format": "mesh", "up": turn.after, **origin_of(trained.frames)}
         write_index(folder, ".ply", moments, float(np.ptp(trained.frames.seconds)), about)
     return triangles
