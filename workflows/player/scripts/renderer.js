@@ -1,6 +1,6 @@
 // Draws a scene with WebGL 2. Every primitive is projected once a frame into textures; then all are blended front to back in one call, in the
 // order in which the sorter has put them.
-import { Program, newTexture, numbers, ordered, quadsOf, target, written } from "./gpu.js";
+import { Program, WIDTH, newTexture, numbers, ordered, quadsOf, target, written } from "./gpu.js";
 import { keyAt, posesAt, rowAt } from "./motion.js";
 import { shaders } from "./shaders.js";
 import { convexTextures, gaussianTextures, keyTextures } from "./textures.js";
@@ -153,18 +153,25 @@ export class Renderer {
     camera.uBetween = keys ? keys.between : 0;
     const own = (kind) => (keys ? { uKey: keys.low[kind], uNextKey: keys.high[kind] } : {});
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.projected);
-    gl.viewport(0, 0, this.place.width, this.place.height);
+    this.#rows(0, this.gaussians);
     const counts = (first, count, still) => ({ uFirst: { int: first }, uCount: { int: count }, uStill: { int: still } });
     this.ofGaussians.use({ ...camera, ...this.gaussianTextures, ...own("g"), ...counts(0, this.gaussians, header.gaussians[0]) });
     this.#fill();
     if (!this.convexes) return;
     const convexes = { ...camera, ...this.convexTextures, ...own("c"), ...counts(this.gaussians, this.convexes, header.convexes[0]) };
+    this.#rows(this.gaussians, this.gaussians + this.convexes);
     this.ofConvexes.use(convexes);
     this.#fill();
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.edgeTarget);
     gl.viewport(0, 0, this.edges.width, this.edges.height);
     this.ofEdges.use({ ...convexes, uPlace: this.place });
     this.#fill();
+  }
+
+  // Only rows of texels with primitives `from` to `to` are drawn: without a graphics device the others would take as long.
+  #rows(from, to) {
+    const first = Math.floor(from / WIDTH);
+    this.gl.viewport(0, first, this.place.width, Math.ceil(to / WIDTH) - first);
   }
 
   #nodes(t) {
