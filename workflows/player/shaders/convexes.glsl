@@ -35,14 +35,16 @@ vec3 centre;          // camera, after clipping
 vec2 q[CORNERS];      // points in the plane (x/z, y/z), relative to the centre
 vec3 shape;           // tau, kappa, opacity
 
-// Twice the area of a triangle, to the bit the same (but for the sign) for every order of its corners, so that all tests agree.
-float turn(int a, int b, int c) {
+// Twice the area of the triangle of corners a, b, c, which lie at A, B, C: to the bit the same (but for the sign) for every order of them, so
+// that all tests agree.
+float turn(int a, vec2 A, int b, vec2 B, int c, vec2 C) {
     bool odd = false;
     int t;
-    if (a > b) t = a, a = b, b = t, odd = !odd;
-    if (b > c) t = b, b = c, c = t, odd = !odd;
-    if (a > b) t = a, a = b, b = t, odd = !odd;
-    vec2 u = q[b] - q[a], v = q[c] - q[a];
+    vec2 T;
+    if (a > b) t = a, a = b, b = t, T = A, A = B, B = T, odd = !odd;
+    if (b > c) t = b, b = c, c = t, T = B, B = C, C = T, odd = !odd;
+    if (a > b) t = a, a = b, b = t, T = A, A = B, B = T, odd = !odd;
+    vec2 u = B - A, v = C - A;
     float doubled = u.x * v.y - u.y * v.x;
     return odd ? -doubled : doubled;
 }
@@ -114,35 +116,43 @@ bool placed(int i) {  // fills in the points; false if nothing is in front of th
 }
 
 float extent, tiny;    // of the points; turns below this may be rounding
-bool first[CORNERS];  // of points that coincide
+int firsts;           // a bit for each point; 0 where it coincides with one before it
+
+bool apartFrom(int k, int m) { return m != k && (firsts >> m & 1) == 1; }
 
 void compared() {  // fills in the three above
     vec2 low = q[0], high = q[0];
     for (int k = 1; k < CORNERS; ++k) low = min(low, q[k]), high = max(high, q[k]);
     extent = max(high.x - low.x, high.y - low.y), tiny = FLAT * extent * extent;
-    for (int k = 0; k < CORNERS; ++k) {
-        first[k] = true;
+    firsts = (1 << CORNERS) - 1;
+    for (int k = 1; k < CORNERS; ++k) {
+        vec2 at = q[k];
         for (int m = 0; m < k; ++m) {
-            vec2 apart = q[m] - q[k];
-            first[k] = first[k] && dot(apart, apart) > FLAT * tiny;
+            vec2 apart = q[m] - at;
+            if (!(dot(apart, apart) > FLAT * tiny)) firsts &= ~(1 << k);
         }
     }
 }
 
-int after(int k) {  // the corner after corner k; -1 if k is none
+// The corner after corner k; -1 if k is none. The point with all others to its left is sought as a string is wound around a parcel; if k lies
+// inside, some are to its right.
+int after(int k) {
     int found = -1;
-    if (!first[k]) return found;
+    vec2 from = q[k], to = from;
     for (int j = 0; j < CORNERS; ++j) {
-        if (j == k || !first[j]) continue;
-        bool edge = true;
-        for (int m = 0; m < CORNERS; ++m) {
-            if (m == k || m == j || !first[m]) continue;
-            float side = turn(k, j, m);
-            edge = edge && (side > tiny || (side >= -tiny && dot(q[m] - q[k], q[m] - q[j]) <= 0.0));
-        }
-        if (edge) found = j;
+        if (!apartFrom(k, j)) continue;
+        vec2 at = q[j];
+        float side = found < 0 ? -1e30 : turn(k, from, found, to, j, at);
+        if (side < -tiny || (side <= tiny && dot(at - from, at - to) > 0.0)) found = j, to = at;
     }
-    return found;
+    bool edge = (firsts >> k & 1) == 1;
+    for (int m = 0; m < CORNERS; ++m) {
+        if (m == found || !apartFrom(k, m)) continue;
+        vec2 at = q[m];
+        float side = turn(k, from, found, to, m, at);
+        edge = edge && (side > tiny || (side >= -tiny && dot(at - from, at - to) <= 0.0));
+    }
+    return edge ? found : -1;
 }
 
 // a, b, c of the edge from corner k to `to`, less the part of c that all edges share; dx and dy are counted from the
