@@ -12,6 +12,7 @@ from e4dgs.scene.formats.web.arrays import Coded, decode, encode
 from e4dgs.scene.formats.web.container import MOST_DATA, pack, unpack
 from e4dgs.scene.formats.web.layout import shapes_of
 from e4dgs.scene.formats.web.scene import WebScene
+from e4dgs.scene.formats.web.windows import file_of, join, read, split
 from e4dgs.stages.exports.web_scene import web_scene
 from made_models import FRAMES, MOTIONS, camera, made
 
@@ -151,3 +152,56 @@ def test_a_file_that_unpacks_to_more_than_it_says_is_stopped():
 def test_the_same_model_gives_the_same_bytes():
     first, second = (scene.to_bytes(steps) for scene, steps in (scene_of("lives"), scene_of("lives")))
     assert first == second and isinstance(encode("x", np.zeros((1, 1)), 1.0), Coded)
+
+
+@pytest.fixture(scope="module")
+def long_clip() -> bytes:
+    """Eight seconds, in which two of three movers are seen for half a second or less."""
+    model = made("lives", gaussians=200, convexes=30, degree=1)
+    with torch.no_grad():
+        for one in (model.gaussians, model.convexes):
+            one.log_spans[torch.arange(len(one)) % 3 > 0] -= 3.5
+    scene, steps = web_scene(model, FRAMES, PIXEL, ABOUT | {"seconds": 8.0})
+    return scene.to_bytes(steps)
+
+
+def test_windows_hold_every_number_once_and_all_that_is_seen_at_their_times(long_clip):
+    files = split(long_clip)
+    whole, back, first = WebScene.from_bytes(long_clip), join(files), WebScene.from_bytes(files[0])
+    windows = first.header["windows"]
+    assert len(files) == len(windows) + 1 == 5 and len(files[0]) < 0.75 * len(long_clip)
+    assert {k: v for k, v in back.header.items() if k != "arrays"} == {k: v for k, v in whole.header.items() if k != "arrays"}
+    for name, values in whole.arrays.items():
+        rows = [np.sort(one.reshape(len(one), -1), 0) for one in (values, back.arrays[name])]
+        assert np.allclose(*rows, rtol=0, atol=1e-9), name
+    for time in (0.0, 0.3, 0.62, 1.0):
+        shown = [one.render(camera(1.0), time).color for one in (whole, back)]
+        assert float((shown[0] - shown[1]).abs().max()) < 1e-4, time
+        outside = [WebScene.from_bytes(f).at(time) for f, (start, end, *_) in zip(files[1:], windows) if not start <= time <= end]
+        assert len(outside) >= 2
+        assert float(torch.cat([kind.opacities for part in outside for kind in part]).max()) < 1 / 255, time
+
+
+def test_a_folder_of_windows_is_read_and_what_is_missing_or_foreign_is_said(long_clip, tmp_path):
+    first, files = tmp_path / "scene.e4dw", split(long_clip)
+    for k, data in enumerate(files):
+        (file_of(first, k) if k else first).write_bytes(data)
+    assert read(first).header["gaussians"] == WebScene.from_bytes(long_clip).header["gaussians"]
+    file_of(first, 2).write_bytes(files[3])
+    with pytest.raises(ValueError, match="file 2 of the scene belongs to another scene"):
+        read(first)
+    file_of(first, 2).write_bytes(files[2][:-20])
+    with pytest.raises(ValueError, match="file 2 of the scene: its data are damaged"):
+        read(first)
+    file_of(first, 2).unlink()
+    with pytest.raises(FileNotFoundError, match=r"scene-2\.e4dw"):
+        read(first)
+    for wrong in ("all", [[0, 1, 2]], [[0, 1, -1, 0]], [[0, None, 1, 0]]):
+        with pytest.raises(ValueError, match="windows"):
+            WebScene.from_bytes(changed(files[0], lambda h, wrong=wrong: h.update(windows=wrong)))
+
+
+def test_short_clips_and_motions_that_never_end_stay_one_file(file, long_clip):
+    assert split(file) == [file]
+    short = changed(long_clip, lambda h: h.update(seconds=3.0))
+    assert split(short) == [short]

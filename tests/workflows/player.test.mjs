@@ -7,10 +7,9 @@ const load = (name) => import(`${process.env.SCRIPTS}/${name}.js`);
 const { readContainer } = await load("container");
 const { checkScene } = await load("layout");
 const { Depths, rowAt } = await load("motion");
-const { Sorter } = await load("sort");
 const { LAYERS, layersOf, rangesOf } = await load("layout");
 const { Camera } = await load("camera");
-const { Answers } = await load("worker");
+const { Answers, Sorter } = await load("worker");
 
 const files = (ending) => readdirSync(process.env.SCENES).filter((name) => name.endsWith(ending));
 const read = (name) => new Uint8Array(readFileSync(`${process.env.SCENES}/${name}`));

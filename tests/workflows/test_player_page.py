@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, rasterize
+from e4dgs.scene.formats.web.container import header_of
 from e4dgs.stages.exports.web_scene import web_scene
+from e4dgs.workflows.exports.web import write_data
 from e4dgs.workflows.player.page import page
 from made_models import FRAMES, MOTIONS, camera, made
 from PIL import Image
@@ -64,8 +66,7 @@ class Page:
         return self.picture()
 
     def picture(self):
-        png = self.page.evaluate("e4dgs.canvas.toDataURL('image/png')")
-        return np.asarray(Image.open(io.BytesIO(base64.b64decode(png.split(",")[1]))).convert("RGB")) / 255
+        return decoded(self.page.evaluate("e4dgs.canvas.toDataURL('image/png')"))
 
 
 @pytest.fixture
@@ -366,29 +367,127 @@ def test_a_site_that_forbids_workers_shows_the_scene(browser, file):
         shown.close()
 
 
-def test_page_and_data_apart_need_a_server(browser, file, tmp_path):
+@pytest.fixture
+def served(browser, tmp_path):
+    """Serves a folder: (page, folder, address, held). A file whose name is in ``held`` is answered when it no longer is."""
     import threading
+    import time
     from functools import partial
     from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+
+    held = set()
 
     class Quiet(SimpleHTTPRequestHandler):
         def log_message(self, *arguments):
             pass
 
-    (tmp_path / "index.html").write_text(page("apart", "scene.e4dw", None, (1, 1, 1), False))
-    (tmp_path / "scene.e4dw").write_bytes(file)
+        def do_GET(self):
+            while self.path[1:] in held:
+                time.sleep(0.02)
+            super().do_GET()
+
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    shown = browser.new_page()
-    try:
-        shown.goto(f"http://127.0.0.1:{server.server_port}/index.html")
-        shown.wait_for_selector("body.ready", timeout=60_000)
-        shown.goto((tmp_path / "index.html").as_uri())
-        shown.wait_for_selector("body.failed", timeout=60_000)
-        assert "from a web server only" in shown.inner_text("#message")
-    finally:
-        shown.close()
-        server.shutdown()
+    shown = browser.new_page(viewport={"width": 500, "height": 400})
+    yield shown, tmp_path, f"http://127.0.0.1:{server.server_port}/index.html", held
+    held.clear()
+    shown.close()
+    server.shutdown()
+
+
+def test_page_and_data_apart_need_a_server(served, file):
+    shown, folder, address, _ = served
+    (folder / "index.html").write_text(page("apart", "scene.e4dw", None, (1, 1, 1), False))
+    (folder / "scene.e4dw").write_bytes(file)
+    shown.goto(address)
+    shown.wait_for_selector("body.ready", timeout=60_000)
+    shown.goto((folder / "index.html").as_uri())
+    shown.wait_for_selector("body.failed", timeout=60_000)
+    assert "from a web server only" in shown.inner_text("#message")
+
+
+@pytest.fixture(scope="module")
+def long_clip() -> bytes:
+    """Eight seconds, in which two of three movers are seen for half a second or less: four windows beside the first file."""
+    model = made("lives", gaussians=300, convexes=40, degree=1)
+    with torch.no_grad():
+        for one in (model.gaussians, model.convexes):
+            one.log_spans[torch.arange(len(one)) % 3 > 0] -= 3.5
+    scene, steps = web_scene(model, FRAMES, PIXEL, about(3) | {"seconds": 8.0})
+    return scene.to_bytes(steps)
+
+
+TIMES = 0.0, 0.41, 0.55, 0.96  # in each of four windows, and not in the reach of another
+
+
+def wanted(time: float) -> dict:
+    """What `e4dgs.show` takes."""
+    view = camera(0.3, distance=2.5)
+    return {name: getattr(view, name).flatten().tolist() for name in ("cam_from_world", "K")} | {
+        "time": time,
+        "width": view.width,
+        "height": view.height,
+    }
+
+
+def pictures(shown, times=TIMES) -> list:
+    """What is drawn at each of ``times``, or why it is not."""
+    draw = "view => e4dgs.show(view).then(() => e4dgs.canvas.toDataURL('image/png'), (error) => error.message)"
+    said = [shown.evaluate(draw, wanted(time)) for time in times]
+    return [decoded(one) if one.startswith("data:") else one for one in said]
+
+
+def decoded(png: str) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(png.split(",")[1]))).convert("RGB")) / 255
+
+
+def test_windows_draw_what_the_single_file_draws_and_wait_for_their_times(served, opened, long_clip):
+    shown, folder, address, held = served
+    truth = pictures(opened(long_clip).page)
+    (folder / "index.html").write_text(page("apart", "scene.e4dw", None, (1, 1, 1), True))
+    write_data(folder / "scene.e4dw", long_clip)
+    held |= {"scene-2.e4dw", "scene-4.e4dw"}
+    shown.goto(address)
+    shown.wait_for_selector("body.ready", timeout=60_000)
+    shown.wait_for_timeout(4000)
+    start = header_of((folder / "scene.e4dw").read_bytes())[0]["windows"][1][0]
+    assert start < 0.4 and 0 < float(shown.input_value("#time")) < start + 0.07, "it plays until the window that is on its way"
+    assert np.abs(pictures(shown, TIMES[:1])[0] - truth[0]).max() <= 1 / 255
+    held.remove("scene-2.e4dw")
+    shown.evaluate("e4dgs.pause()")
+    shown.locator("#time").fill("0.96")
+    shown.evaluate("view => { window.asked = e4dgs.show(view).then(() => { window.drew = true; }); }", wanted(0.96))
+    shown.wait_for_timeout(1000)
+    assert shown.evaluate("window.drew") is None
+    held.clear()
+    shown.evaluate("asked")
+    for drawn, true in zip(pictures(shown), truth):
+        assert np.abs(drawn - true).max() <= 1 / 255
+    assert shown.evaluate("e4dgs.info.bytes") == sum(path.stat().st_size for path in folder.glob("*.e4dw"))
+    assert not shown.locator("#message").is_visible()
+    shown.evaluate("window.lost = e4dgs.canvas.getContext('webgl2').getExtension('WEBGL_lose_context'), lost.loseContext()")
+    shown.evaluate("setTimeout(() => lost.restoreContext(), 300)")
+    assert np.abs(pictures(shown, TIMES[3:])[0] - truth[3]).max() <= 1 / 255
+
+
+@pytest.mark.parametrize("damage", [lambda path: path.unlink(), lambda path: path.write_bytes(path.read_bytes()[:-30])])
+def test_a_window_that_cannot_be_had_is_named_and_the_rest_plays(served, opened, long_clip, damage):
+    shown, folder, address, _ = served
+    truth = pictures(opened(long_clip).page)
+    (folder / "index.html").write_text(page("apart", "scene.e4dw", None, (1, 1, 1), True))
+    write_data(folder / "scene.e4dw", long_clip)
+    damage(folder / "scene-3.e4dw")
+    shown.goto(address)
+    shown.wait_for_selector("body.ready", timeout=60_000)
+    shown.locator("#message", has_text="scene-3.e4dw").wait_for(timeout=20_000)
+    found = pictures(shown)
+    assert "scene-3.e4dw" in found[2]
+    for k in (0, 1, 3):
+        assert np.abs(found[k] - truth[k]).max() <= 1 / 255, k
+    before = float(shown.input_value("#time"))
+    shown.evaluate("e4dgs.play()")
+    shown.wait_for_timeout(1000)
+    assert float(shown.input_value("#time")) != before
 
 
 def test_the_command_writes_a_page_that_plays(finished_run, browser, tmp_path, capsys):

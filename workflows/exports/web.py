@@ -31,6 +31,21 @@ Out = Annotated[
 ]
 
 
+def write_data(path: Path, data: bytes) -> int:
+    """Writes the scene's file as ``path``, its windows beside it, and removes older ones. Returns the first one's bytes."""
+    from ...scene.formats.web.windows import file_of, split
+
+    first, *windows = split(data)
+    for k, window in enumerate(windows, 1):
+        write_atomically(file_of(path, k), window)
+    write_atomically(path, first)
+    k = len(windows) + 1
+    while file_of(path, k).exists():
+        file_of(path, k).unlink()
+        k += 1
+    return len(first)
+
+
 @of_last_run("coarse")
 @without(
     times="the page plays all times of the capture; leave it out",
@@ -58,8 +73,8 @@ def web(options: Options, out: Out = None) -> None:
     with Progress(3, "export", console) as bar, writing(path):
         made = export_web(trained.model, trained.frames, trained.times, bar.advance)
         if not single:
-            write_atomically(target / DATA, made.data)
+            first = write_data(target / DATA, made.data)
         text = page(scene, made.data if single else DATA, made.poster, trained.model.background, made.header["motion"] != "static")
         write_atomically(path, text)
-    size = f"page of {len(text) / 1e6:.2f} MB" + ("" if single else f" beside {DATA}")
+    size = f"page of {len(text) / 1e6:.2f} MB" + ("" if single else f" beside {DATA}, of which {first / 1e6:.2f} MB come first")
     say(f"{made}; {size}", f"web: {path}")

@@ -15,6 +15,8 @@ Fields of the header:
     frames, seconds                times of the capture, and how long it took; 0 if unknown
     keys, nodes, modes, light      of the motion, see below
     near, background, antialiased  as the model was trained
+    windows (lives)                [from, to, Gaussians, convexes] of each further file beside this one, in order of time: what moves and is
+                                   seen from `from` to `to` in [0, 1] alone (`windows.split`); missing in a scene of one file
     up, target, cameras            for the camera; a camera has name, time, width, height, cam_from_world (16), K (9)
 
 Arrays, their shapes, and in brackets the step of a number:

@@ -58,6 +58,10 @@ def check_header(header: Mapping[str, Any]) -> None:
     expect(finite(header.get("near")) and NEAR[0] <= header["near"] <= NEAR[1], "near", header)
     expect(finite(header.get("seconds")) and header["seconds"] >= 0, "seconds", header)
     expect(isinstance(header.get("cameras"), list) and len(header["cameras"]) <= 10_000, "cameras", header)
+    windows = header.get("windows", [])
+    expect(isinstance(windows, list) and len(windows) <= 10_000 and (not windows or header["motion"] == "lives"), "windows", header)
+    for one in windows:
+        expect(isinstance(one, list) and len(one) == 4 and all(map(finite, one[:2])) and all(map(whole, one[2:])), "windows", header)
     for camera in header["cameras"]:
         numbers = isinstance(camera, dict) and all(finite(camera.get(key)) for key in ("time", "width", "height"))
         rows = numbers and all(

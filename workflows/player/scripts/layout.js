@@ -25,6 +25,10 @@ export function checkScene({ header, arrays }) {
   good(Number.isFinite(header.near) && header.near >= 1e-12 && header.near <= 1e12, "near");
   good(Number.isFinite(header.seconds) && header.seconds >= 0, "seconds");
   good(Array.isArray(header.cameras) && header.cameras.length <= 10000, "cameras");
+  const windows = header.windows ?? [];
+  good(Array.isArray(windows) && windows.length <= 10000 && (!windows.length || header.motion === "lives"), "windows");
+  for (const one of windows) good(areNumbers(one, 4) && one.slice(2).every(isWhole), "windows");
+  for (const name of ["gaussians", "convexes"]) good(header[name][0] + header[name][1] + laterRows(header, 0, name) <= MOST, "windows");
   for (const camera of header.cameras) {
     const numbers = [camera?.time, camera?.width, camera?.height].every(Number.isFinite);
     good(numbers && camera.width > 0 && camera.height > 0 && typeof camera.name === "string", "cameras");
@@ -38,6 +42,39 @@ export function checkScene({ header, arrays }) {
   }
   for (const name of ["g_links", "c_links"])
     expect((arrays[name]?.values ?? []).every((node) => node >= 0 && node < header.nodes), `The scene's array ${name} is damaged.`);
+}
+
+// How many primitives of a kind window k and those after it hold.
+export function laterRows({ windows = [] }, k, name) {
+  return windows.slice(k).reduce((sum, one) => sum + one[name === "gaussians" ? 2 : 3], 0);
+}
+
+// A scene with room for the primitives of all its windows, which come last; until they are there, nothing of them is seen.
+export function withRoom({ header, arrays }) {
+  if (!header.windows?.length) return { header, arrays };
+  const counts = ["gaussians", "convexes"].map((name) => [name, [header[name][0], header[name][1] + laterRows(header, 0, name)]]);
+  const whole = { ...header, ...Object.fromEntries(counts) }, room = {};
+  for (const [name, shape] of Object.entries(shapesOf(whole))) {
+    room[name] = { shape, values: new Float32Array(shape[0] * shape[1] * shape[2]) };
+    room[name].values.set(arrays[name].values);
+  }
+  return { header: whole, arrays: room };
+}
+
+// Throws an Error if `part` is not window k of the scene with this header.
+export function checkWindow(part, header, k) {
+  checkScene(part);
+  const same = ["motion", "corners", "sh_degree", "frames"].every((name) => part.header[name] === header[name]);
+  const { gaussians, convexes } = part.header, [, , g, c] = header.windows[k];
+  expect(same && `${gaussians}/${convexes}` === `0,${g}/0,${c}`, "It belongs to another scene.");
+}
+
+// Puts the primitives of window k where there is room for them.
+export function placeRows({ header, arrays }, part, k) {
+  for (const [name, { shape: [, m, c], values }] of Object.entries(part.arrays)) {
+    const { shape: [rows], values: all } = arrays[name], later = laterRows(header, k, name.startsWith("g_") ? "gaussians" : "convexes");
+    if (all.length) all.set(values, (rows - later) * m * c);  // else it was handed over, see worker.js
+  }
 }
 
 export function shapesOf(header) {

@@ -1,6 +1,7 @@
 // The page: finds the scene's data, opens them, and offers `window.e4dgs`.
 import { Player, fail } from "./player.js";
 import { say } from "./panel.js";
+import { fetched } from "./windows.js";
 
 const CUT = "The scene's data are damaged or cut short.";
 
@@ -9,14 +10,7 @@ async function data() {
   const inside = document.getElementById("scene"), address = document.body.dataset.scene;
   if (inside) return fromBase64(inside.textContent);
   if (!address) throw new Error(CUT);
-  try {
-    const answer = await fetch(address);
-    if (!answer.ok) throw new Error(String(answer.status));
-    return new Uint8Array(await answer.arrayBuffer());
-  } catch (error) {
-    const local = location.protocol === "file:" ? " A browser reads it from a web server only; a page with the data inside needs none." : "";
-    throw new Error(`The scene's data (${address}) cannot be read: ${error.message}.${local}`);
-  }
+  return fetched(address);
 }
 
 function fromBase64(text) {
@@ -36,8 +30,7 @@ export function start() {
     say("Opening the scene…");
     const bytes = await data();
     player.bytes = bytes.length;
-    await player.open(bytes);
-    say("");
+    await player.open(bytes, document.body.dataset.scene ?? "");
     document.body.classList.add("ready");
     if (document.body.dataset.play === "true") player.play();
   })();

@@ -1,10 +1,12 @@
 // The player: what is shown (camera, time), when it is sorted and drawn, and what `window.e4dgs` offers.
 import { Camera, checkView } from "./camera.js";
 import { Controls } from "./controls.js";
+import { placeRows } from "./layout.js";
 import { Panel, bare, say, showHelp } from "./panel.js";
 import { Renderer } from "./renderer.js";
 import { startSorter } from "./sorter.js";
 import { Stereo, hasStereo } from "./stereo.js";
+import { Windows } from "./windows.js";
 
 const USUAL_SECONDS = 4;           // of a scene whose times have no seconds
 const SLOW = 45, QUICK = 18;       // ms a frame from which a moving picture gets coarser, or finer again
@@ -22,7 +24,8 @@ export class Player {
     this.scale = 1, this.asked = null, this.touched = 0, this.now = 0, this.drew = false;
   }
 
-  async open(bytes) {
+  // bytes: the scene's file. address: where it came from, beside which its windows lie, if it has any.
+  async open(bytes, address) {
     const { scene, sorter } = await startSorter(bytes);
     this.scene = scene, this.sorter = sorter, this.bytes = bytes.length || this.bytes;
     this.seconds = scene.header.seconds || (scene.header.motion === "static" ? 0 : USUAL_SECONDS);
@@ -39,10 +42,23 @@ export class Player {
     this.panel = new Panel(this, scene);
     this.stereo = new Stereo(this);
     hasStereo().then((there) => this.panel.offerStereo(there, () => this.stereo.toggle().catch((error) => say(error.message))));
+    this.windows = new Windows(scene.header, address, (k, more) => this.#add(k, more));
+    const missing = await this.windows.at(this.time).then(() => "", ({ message }) => message);
     if (this.renderer.software) this.scale = COARSEST;  // else the first picture, too, would take seconds
     await this.#drawn(this.#window(this.scale));
     this.#loop();
     this.panel.show();
+    say(missing);
+    this.windows.fetchAll(() => this.time, ({ message }) => say(message));
+  }
+
+  // Decodes a window, which is drawn from now on.
+  async #add(k, bytes) {
+    this.bytes += bytes.length;
+    const part = await this.sorter.add(k, bytes);
+    placeRows(this.scene, part, k);
+    this.renderer.add(part, k);
+    this.last = "";
   }
 
   get info() {
@@ -130,6 +146,7 @@ export class Player {
   async show(view) {
     checkView(view, this.renderer.most);
     await this.there();
+    await this.windows.at(view.time);
     this.playing = false;
     bare(true);
     const ratio = devicePixelRatio || 1;
@@ -195,7 +212,7 @@ export class Player {
   async #frame(seconds) {
     if (this.asked || this.measuring || this.stereo.session || document.hidden || this.renderer.gl.isContextLost()) return;
     this.controls.advance(seconds);
-    if (this.playing) this.#advance(seconds);
+    if (this.playing && !this.windows.lacks(this.time)) this.#advance(seconds);
     const moving = this.playing || performance.now() - this.touched < REST || this.controls.busy;
     const view = this.#window(moving ? this.scale : 1);
     const again = this.drew;  // whether the time since the last frame is that of a frame

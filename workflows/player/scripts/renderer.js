@@ -1,6 +1,7 @@
 // Draws a scene with WebGL 2. Every primitive is projected once a frame into textures; then all are blended front to back in one call, in the
 // order in which the sorter has put them.
 import { Program, WIDTH, newTexture, numbers, ordered, quadsOf, target, written } from "./gpu.js";
+import { laterRows } from "./layout.js";
 import { keyAt, posesAt, rowAt } from "./motion.js";
 import { shaders } from "./shaders.js";
 import { convexTextures, gaussianTextures, keyTextures } from "./textures.js";
@@ -53,6 +54,14 @@ export class Renderer {
     this.order = ordered(gl, total);
     this.count = 0;
     this.picture = this.size = this.poses = this.posesTime = this.keys = null;
+  }
+
+  // Takes over the primitives of window k, which `this.scene` holds now.
+  add(part, k) {
+    const { header } = this.scene, from = (name, all) => all - laterRows(header, k, name);
+    const [g, c] = [from("gaussians", this.gaussians), from("convexes", this.convexes)];
+    gaussianTextures(this.gl, part, this.gaussianTextures, g, g - header.gaussians[0]);
+    if (this.convexes) convexTextures(this.gl, part, this.convexTextures, c, c - header.convexes[0]);
   }
 
   setOrder(order, count) {

@@ -6,7 +6,8 @@ export async function startSorter(bytes) {
   const waiting = new Map(), spare = [];
   let settle = null;
   const heard = (message) => {
-    if (message.kind === "sorted") waiting.get(message.id).done(message), waiting.delete(message.id);
+    if (["sorted", "added"].includes(message.kind)) waiting.get(message.id).done(message), waiting.delete(message.id);
+    else if (message.kind === "refused") waiting.get(message.id).failed(new Error(message.message)), waiting.delete(message.id);
     else settle(message);
   };
   const send = await connect(heard);
@@ -23,7 +24,13 @@ export async function startSorter(bytes) {
       const order = spare.pop();
       send({ kind: "sort", id, time, row, layer, order }, order ? [order.buffer] : []);
     });
-  return { scene: opened.scene, sorter: { sort, give: (order) => spare.push(order) } };
+  // The decoded window, whose file is `bytes`.
+  const add = (window, bytes) =>
+    new Promise((done, failed) => {
+      waiting.set(++id, { done: ({ part }) => done(part), failed });
+      send({ kind: "add", id, window, bytes }, [bytes.buffer]);
+    });
+  return { scene: opened.scene, sorter: { sort, add, give: (order) => spare.push(order) } };
 }
 
 // A function that sends messages, when what will answer them is there. A site may forbid workers, which the page hears only after it has made

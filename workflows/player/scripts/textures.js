@@ -1,8 +1,9 @@
-// A scene's arrays as textures: one set for Gaussians and one for convexes, named as the shaders' uniforms.
+// A scene's arrays as textures: one set for Gaussians and one for convexes, named as the shaders' uniforms. With an `old` set, the primitives of
+// `scene` are written into it: from number `at` of its kind on, and from number `moving` of those that move.
 import { numbers } from "./gpu.js";
 import { reachOf } from "./motion.js";
 
-export function gaussianTextures(gl, { header, arrays }) {
+export function gaussianTextures(gl, { header, arrays }, old = {}, at = 0, moving = 0) {
   const count = arrays.g_means.shape[0], means = arrays.g_means.values, opacity = arrays.g_opacity.values, three = arrays.g_turns.values;
   const first = new Float32Array(4 * count), turns = new Float32Array(4 * count), scales = new Float32Array(4 * count);
   for (let i = 0, a = 0, b = 0; i < count; ++i, a += 4, b += 3) {
@@ -11,23 +12,25 @@ export function gaussianTextures(gl, { header, arrays }) {
     for (let j = 0; j < 3; ++j) first[a + j] = means[b + j], scales[a + j] = Math.exp(arrays.g_scales.values[b + j]);
     first[a + 3] = Math.min(Math.max(opacity[i], 0), 1);
   }
-  const found = { uMeans: numbers(gl, first, 4), uTurns: numbers(gl, turns, 4), uScales: numbers(gl, scales, 4) };
-  return Object.assign(found, shared(gl, header, arrays, "g", count));
+  const found = { uMeans: numbers(gl, first, 4, false, old.uMeans, at), uTurns: numbers(gl, turns, 4, false, old.uTurns, at) };
+  found.uScales = numbers(gl, scales, 4, false, old.uScales, at);
+  return Object.assign(found, shared(gl, header, arrays, "g", count, old, at, moving));
 }
 
-export function convexTextures(gl, { header, arrays }) {
+export function convexTextures(gl, { header, arrays }, old = {}, at = 0, moving = 0) {
   const count = arrays.c_points.shape[0], shapes = new Float32Array(4 * count);
   for (let i = 0; i < count; ++i) {
     shapes[4 * i] = Math.exp(arrays.c_shape.values[2 * i]), shapes[4 * i + 1] = Math.exp(arrays.c_shape.values[2 * i + 1]);
     shapes[4 * i + 2] = Math.min(Math.max(arrays.c_opacity.values[i], 0), 1);
   }
-  const found = { uPoints: numbers(gl, widened(arrays.c_points.values, 3), 4), uShapes: numbers(gl, shapes, 4) };
-  return Object.assign(found, shared(gl, header, arrays, "c", count));
+  const found = { uPoints: numbers(gl, widened(arrays.c_points.values, 3), 4, false, old.uPoints, at * arrays.c_points.shape[1]) };
+  found.uShapes = numbers(gl, shapes, 4, false, old.uShapes, at);
+  return Object.assign(found, shared(gl, header, arrays, "c", count, old, at, moving));
 }
 
 // SH, shades, and what the motion knows of each.
-function shared(gl, header, arrays, kind, count) {
-  const found = { uSh: numbers(gl, harmonics(header, arrays, kind, count), 3, true) };
+function shared(gl, header, arrays, kind, count, old, at, moving) {
+  const found = { uSh: numbers(gl, harmonics(header, arrays, kind, count), 3, true, old.uSh, at * (header.sh_degree + 1) ** 2) };
   if (header.light) found.uShades = numbers(gl, widened(arrays[`${kind}_shades`].values, 3), 4);
   if (header.motion === "lives") {
     const [life, drift, spin] = ["life", "drift", "spin"].map((name) => arrays[`${kind}_${name}`].values);
@@ -37,7 +40,7 @@ function shared(gl, header, arrays, kind, count) {
       lives[a] = life[2 * i], lives[a + 1] = Math.exp(-life[2 * i + 1]);
       for (let j = 0; j < 3; ++j) lives[a + 2 + j] = drift[3 * i + j] / reach, lives[a + 5 + j] = spin[3 * i + j] / reach;
     }
-    found.uLives = numbers(gl, lives, 4);
+    found.uLives = numbers(gl, lives, 4, false, old.uLives, 2 * moving);
   }
   if (header.motion === "nodes") {
     const weights = widened(arrays[`${kind}_weights`].values, 3);
