@@ -12,6 +12,7 @@ from .container import unpack
 from .scene import WebScene
 
 SECONDS = 2.0  # of a window; what is visible for longer belongs to the first file
+MOST = 1000  # windows
 SHARED = ("motion", "corners", "sh_degree", "frames")  # fields that all files of a scene have in common
 LEAST_ALPHA = 1 / 255
 KINDS = (("g", "gaussians"), ("c", "convexes"))
@@ -24,7 +25,8 @@ def split(data: bytes) -> list[bytes]:
     """
     _, coded = unpack(data)
     scene = WebScene.from_bytes(data)
-    header, count = {k: v for k, v in scene.header.items() if k != "arrays"}, int(scene.header["seconds"] / SECONDS)
+    header = {k: v for k, v in scene.header.items() if k != "arrays"}
+    count = int(min(header["seconds"] / SECONDS, header["frames"] - 1, MOST))
     if header["motion"] != "lives" or count < 2:
         return [data]
     steps = {name: np.array(one.step) for name, one in coded.items() if one.planes}
