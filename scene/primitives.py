@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .looks import look
 from .rotation import quats_to_matrices
 
 SH_C0 = 0.28209479177387814  # value of the degree-0 spherical harmonic
@@ -97,15 +98,15 @@ class PrimitiveSet:
         return torch.cat([dc, self.sh_rest[:, :rest]], dim=1) if rest else dc
 
     def activated(self, logs: tuple[Tensor, ...], degree: int, light: Tensor | None = None) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
-        """The exponentials of ``logs``, one or two float32 tensors of N rows; `opacities`; `sh`. On an NVIDIA GPU this is one kernel."""
-        if self.device.type == "cuda":
-            from ..rasterizer.cuda.runtime import launcher_for
-            from .cuda.looks import look
+        """The exponentials of ``logs``, one or two float32 tensors of N rows; `opacities`; `sh`. One kernel, on the CPU and on a GPU."""
+        shown = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
+        given = logs, self.opacity_logits, self.sh_dc, self.sh_rest, shown, self.parameters.get("shades"), light
+        if self.device.type == "cpu":
+            return look(*given)
+        from ..rasterizer.cuda.runtime import launcher_for
+        from .cuda.looks import look as look_on_gpu
 
-            shown = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
-            given = logs, self.opacity_logits, self.sh_dc, self.sh_rest, shown, self.parameters.get("shades"), light
-            return look(launcher_for(self.device), *given)
-        return tuple(map(torch.exp, logs)), self.opacities, self.sh(degree, light)
+        return look_on_gpu(launcher_for(self.device), *given)
 
     def rest_points(self) -> Tensor:
         """[N * corners, 3] positions that the motion displaces."""

@@ -2,6 +2,7 @@
 #pragma once
 #include <bit>
 #include <cstdint>
+#include <limits>
 
 #include "clones.h"
 
@@ -17,6 +18,15 @@ E4DGS_INLINE float exp_of(float x) {
     float p = 1.0f / 720.0f;
     p = p * f + 1.0f / 120.0f, p = p * f + 1.0f / 24.0f, p = p * f + 1.0f / 6.0f, p = p * f + 0.5f, p = p * f + 1.0f, p = p * f + 1.0f;
     return p * std::bit_cast<float>((whole + 127) << 23);
+}
+
+// exp(x) as exp_of, but infinite where x > 87, 0 where x < -87, and NaN of a NaN.
+E4DGS_INLINE float exp_anywhere(float x) {
+    constexpr float kMost = 87.0f;
+    const float half = exp_of(0.5f * (x < kMost ? (x > -kMost ? x : -kMost) : kMost));
+    const float inside = half * half, cut = x < -kMost ? 0.0f : inside;
+    const float above = x > kMost ? std::numeric_limits<float>::infinity() : cut;
+    return x == x ? above : x;
 }
 
 }  // namespace e4dgs

@@ -21,6 +21,7 @@
 #include "field_run.h"
 #include "images_module.h"
 #include "lives_module.h"
+#include "looks_module.h"
 #include "skinning.h"
 #include "smoothness.h"
 
@@ -257,5 +258,6 @@ NB_MODULE(_kernels, m) {
     });
 
     bind_lives(m);
+    bind_looks(m);
     bind_images(m);
 }

@@ -2,12 +2,9 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <cstdlib>
-#include <memory>
-#include <new>
-#include <utility>
 #include <vector>
 
+#include "kept_buffer.h"
 #include "photometric_rows.h"
 
 namespace e4dgs {
@@ -19,36 +16,6 @@ constexpr int kRing = 16;        // rows kept
 constexpr int kBehind = 3;       // groups of kTogether rows between a pass and the next
 constexpr int kLeastStrip = 32;  // rows; the passes before the last also do the rows above and below a strip
 static_assert(kRing % kTogether == 0 && kBehind * kTogether >= 2 * kRadius && kRing >= (kBehind + 1) * kTogether);
-
-// Memory for the rings. The calling thread keeps it from call to call, because fresh pages cost as much as the arithmetic.
-class Buffer {
-public:
-    explicit Buffer(size_t floats) : data_(floats <= kept_.second ? kept_.first.release() : fresh(floats)), size_(std::max(floats, kept_.second)) {
-        kept_.second = 0;
-    }
-    ~Buffer() {
-        kept_.first.reset(size_ <= kMostKept ? data_ : (std::free(data_), nullptr));
-        kept_.second = size_ <= kMostKept ? size_ : 0;
-    }
-    Buffer(const Buffer&) = delete;
-    float* data() { return data_; }
-
-private:
-    struct Free {
-        void operator()(float* p) const { std::free(p); }
-    };
-    static constexpr size_t kMostKept = size_t(32) << 20;  // floats
-    static float* fresh(size_t floats) {
-        void* p = std::aligned_alloc(64, (floats * sizeof(float) + 63) / 64 * 64);
-        if (!p) throw std::bad_alloc();
-        return static_cast<float*>(p);
-    }
-    static thread_local std::pair<std::unique_ptr<float, Free>, size_t> kept_;
-    float* data_;
-    size_t size_;
-};
-
-thread_local std::pair<std::unique_ptr<float, Buffer::Free>, size_t> Buffer::kept_{nullptr, 0};
 
 struct Images {
     const float *x, *y, *weight;  // x: as recorded
@@ -151,7 +118,7 @@ Photometric photometric(const float* x, const float* y, const float* weight, con
     std::vector<double> row_sum(height, 0.0), row_l1(height, 0.0), row_gain(size_t(height) * kChannels, 0.0), row_offset(size_t(height) * kChannels, 0.0);
     const int strips = std::clamp(height / kLeastStrip, 1, std::max(threads, 1));
     const size_t each = Strip::kRows * Strip::stride(n);
-    Buffer buffer(strips * each + (changed ? size_t(height) * n : 0));
+    KeptBuffer<Strip> buffer(strips * each + (changed ? size_t(height) * n : 0));
     float* recorded = buffer.data() + strips * each;
     const Recording how = recording ? *recording : Recording{};
 #pragma omp parallel for num_threads(strips) schedule(static)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ctypes import c_float, c_int32
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,24 +11,11 @@ from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Launcher
 from .inputs import check
+from .opposite import Opposite
 from .programs import program
 
 WIDE, HIGH = 32, 8  # px, size of a tile
 THREADS = 192
-
-
-class Opposite(NamedTuple):
-    """The same comparison in front of the opposite background, and that of alpha. alpha, known: of the render and of the capture, [H, W]
-    float32; alpha receives gradients. kept: [H, W] bool, or None if all are; the others are equal in front of that background and their
-    alpha does not count. change: RGB of the opposite background minus the one that was rendered. share: of the whole photometric loss.
-    weight: of mean|alpha - known|."""
-
-    alpha: Tensor
-    known: Tensor
-    kept: Tensor | None
-    change: tuple[float, float, float]
-    share: float
-    weight: float
 
 
 def photometric_loss(

@@ -6,11 +6,13 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Frame
+from ..cuda.opposite import Opposite
 from ..model import Model
 from ..settings import TrainingSettings
 from ..views import floats
 from .photometric import photometric_loss, scale_gradient
 from .term import Now, Rendered, Term
+from .two_backgrounds import two_backgrounds_loss
 
 OTHER_BACKGROUND = 0.3  # share of the loss with the opposite background, if the capture has alpha
 
@@ -35,16 +37,17 @@ def appearance_loss(rendered: Rendered, s: TrainingSettings, background: tuple[f
     front of the opposite background and the L1 of alpha: a scalar. On a CUDA device the call does not synchronise."""
     frame, target, kept, weight, recording = rendered.frame, rendered.target, rendered.kept, rendered.weight, rendered.recording
     color, share = frame.color, rendered.share
-    if color.device.type == "cuda" and color.dtype == torch.float32:
-        from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda import photometric
+    if color.dtype == torch.float32:
+        terms = share * s.l1_weight, share * s.ssim_weight, weight, recording
+        red, green, blue = (1 - 2 * level for level in background)
+        change, of_alpha = (red, green, blue), share * s.alpha_weight
+        opposite = None if alpha is None else Opposite(frame.alpha, alpha, kept, change, OTHER_BACKGROUND, of_alpha)
+        if color.device.type == "cuda":
+            from ...rasterizer.cuda.runtime import launcher_for
+            from ..cuda import photometric
 
-        opposite = None
-        if alpha is not None:
-            red, green, blue = (1 - 2 * level for level in background)
-            opposite = photometric.Opposite(frame.alpha, alpha, kept, (red, green, blue), OTHER_BACKGROUND, share * s.alpha_weight)
-        terms = share * s.l1_weight, share * s.ssim_weight, weight, recording, opposite
-        return photometric.photometric_loss(launcher_for(color.device), color, target, *terms)
+            return photometric.photometric_loss(launcher_for(color.device), color, target, *terms, opposite)
+        return photometric_loss(color, target, *terms) if opposite is None else two_backgrounds_loss(color, target, *terms, opposite)
     loss = photometric_loss(color, target, s.l1_weight, s.ssim_weight, weight, recording)
     if alpha is not None:
         wrong = ((frame.alpha if weight is None else scale_gradient(frame.alpha, weight)) - alpha).abs()

@@ -102,7 +102,7 @@ def test_a_place_takes_its_share_of_the_courses():
     with torch.no_grad():
         network.place[-1].weight.normal_(0, 0.5, generator=torch.Generator().manual_seed(1))
     places, times = torch.rand(5, 3, dtype=torch.float64) * 2 - 1, [0.0, 0.3, 1.0]
-    weights, courses = network.weights(encode_places(places)), network.courses(torch.tensor(times, dtype=torch.float64))
+    found = network(encode_places(places), torch.tensor(times, dtype=torch.float64))
 
     def through(layers, x):
         for number, layer in enumerate(layers):
@@ -110,11 +110,11 @@ def test_a_place_takes_its_share_of_the_courses():
             x = x if number == len(layers) - 1 else torch.where(x < 0, 0.01 * x, x)
         return x
 
-    for place, found in zip(places, weights):
+    for place, of_place in zip(places, found.transpose(0, 1)):
         share = through(network.place, encode_places(place[None])[0]).reshape(7, RANK)
-        for time, course in zip(times, courses):
+        for time, outputs in zip(times, of_place):
             expected = share @ through(network.time, encode(torch.tensor([[time]], dtype=torch.float64), 6)[0]) / RANK**0.5
-            assert torch.allclose(found @ course, expected, rtol=1e-12, atol=1e-12)
+            assert torch.allclose(outputs, expected, rtol=1e-12, atol=1e-12)
 
 
 def test_several_times_at_once_are_those_one_by_one():

@@ -204,7 +204,7 @@ class ControlNodes(Carrier):
 
     def _poses_at(self, times: Tensor) -> tuple[Tensor, ...]:
         """Unit quaternions [T, B, 4] and shifts [T, B, 3] of the nodes at ``times`` [T]."""
-        out = OUTPUT * torch.einsum("bor,tr->tbo", self.network.weights(self._place()), self.network.courses(times))
+        out = OUTPUT * self.network(self._place(), times)
         quats = torch.cat([1 + out[..., :1], out[..., 1:4]], 2)
         return quats / quats.norm(dim=2, keepdim=True).clamp(min=1e-6), self.reach * out[..., 4:]
 

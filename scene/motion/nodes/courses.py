@@ -36,9 +36,16 @@ class SharedCourses(nn.Module):
             place[-1].weight.normal_(0.0, HEADS, generator=generator)
         self.place, self.time = nn.ModuleList(place), nn.ModuleList(time)
 
-    def weights(self, encoded: Tensor) -> Tensor:
-        """[B, 7, RANK] weights at places [B, 33] as returned by `encode_places`."""
-        return through(self.place, encoded).view(len(encoded), OUTPUTS, RANK) * RANK**-0.5
+    def forward(self, encoded: Tensor, times: Tensor) -> Tensor:
+        """[T, B, 7] outputs at ``times`` [T] in [0, 1] of places [B, 33] as returned by `encode_places`."""
+        courses = self.courses(times) * RANK**-0.5
+        *hidden, last = self.place
+        for layer in hidden:
+            encoded = nn.functional.leaky_relu(layer(encoded), LEAK)
+        # The courses go into the last layer before the places do: for a few times it is far smaller than the weights of all courses.
+        heads = torch.matmul(courses, last.weight.view(OUTPUTS, RANK, WIDTH)).transpose(0, 1).flatten(0, 1)
+        biases = (courses @ last.bias.view(OUTPUTS, RANK).T).flatten()
+        return torch.addmm(biases, encoded, heads.T).view(len(encoded), len(times), OUTPUTS).transpose(0, 1)
 
     def courses(self, times: Tensor) -> Tensor:
         """[T, RANK] courses at ``times`` [T] in [0, 1]."""

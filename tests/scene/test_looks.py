@@ -1,0 +1,135 @@
+"""The CPU's kernel of what is rendered of primitives, against plain float64 torch."""
+
+import pytest
+import torch
+from e4dgs.scene import _kernels
+from e4dgs.scene.looks import look
+from e4dgs.scene.primitives import SH_C0
+
+LIMIT = 2e-6  # of the largest number of each result
+CASES = [(0, 15, 15), (1, 15, 15), (512, 8, 8), (1300, 15, 3), (700, 15, 0), (129, 0, 0)]
+OUTPUTS = ("sizes0", "sizes1", "opacities", "sh")
+
+
+def given(n, stored=15, light=True, convex=False):
+    """Named float32 inputs. Opacities reach close to 0 and 1."""
+    draw = torch.Generator().manual_seed(5)
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=draw)
+
+    inputs = {"logs": normal(n) if convex else normal(n, 3), "logits": 5 * normal(n), "dc": normal(n, 1, 3), "rest": normal(n, stored, 3)}
+    inputs |= {"others": normal(n)} if convex else {}
+    return inputs | {"shades": normal(n, 3)} | ({"light": normal(3)} if light else {})
+
+
+def composed(logs, logits, dc, rest, shown, shades, light):
+    if light is not None:
+        dc = dc + (shades @ light)[:, None, None] * (dc + 0.5 / SH_C0)
+    return tuple(p.exp() for p in logs), logits.sigmoid(), torch.cat([dc, rest[:, :shown]], 1)
+
+
+def outcome(run, inputs, shown, used=OUTPUTS):
+    """Outputs, and the gradients of a sum of those in ``used`` with fixed weights; None of those that get none."""
+    leaves = {name: p.detach().clone().requires_grad_() for name, p in inputs.items()}
+    logs = tuple(leaves[name] for name in ("logs", "others") if name in leaves)
+    sizes, opacities, sh = run(logs, leaves["logits"], leaves["dc"], leaves["rest"], shown, leaves["shades"], leaves.get("light"))
+    outputs = {"opacities": opacities, "sh": sh, **{f"sizes{k}": p for k, p in enumerate(sizes)}}
+    draw = torch.Generator().manual_seed(6)
+    weights = {name: torch.randn(p.shape, generator=draw).to(p) for name, p in outputs.items()}
+    chosen = [name for name in outputs if name in used]
+    found = torch.autograd.grad([outputs[k] for k in chosen], list(leaves.values()), [weights[k] for k in chosen], allow_unused=True)
+    return {name: p.detach() for name, p in outputs.items()} | {f"g_{name}": g for name, g in zip(leaves, found)}
+
+
+def exactly(inputs, shown, used=OUTPUTS):
+    return outcome(composed, {name: p.double() for name, p in inputs.items()}, shown, used)
+
+
+def assert_close(found, expected):
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        if found[name] is None:
+            assert value is None or not value.any(), name
+            continue
+        assert found[name].shape == value.shape and found[name].dtype == torch.float32, name
+        if value.numel():
+            assert float((found[name].double() - value).abs().max()) <= LIMIT * float(value.abs().max()), name
+
+
+@pytest.mark.parametrize("convex", [False, True], ids=["gaussians", "convexes"])
+@pytest.mark.parametrize("light", [False, True], ids=["steady", "lit"])
+@pytest.mark.parametrize(("n", "stored", "shown"), CASES)
+def test_looks_and_their_gradients_match_float64(n, stored, shown, light, convex):
+    inputs = given(n, stored, light, convex)
+    assert_close(outcome(look, inputs, shown), exactly(inputs, shown))
+
+
+@pytest.mark.parametrize("used", OUTPUTS)
+def test_what_an_output_does_not_depend_on_gets_no_gradient_from_it(used):
+    inputs = given(40, 8, convex=True)
+    found, expected = outcome(look, inputs, 8, (used,)), exactly(inputs, 8, (used,))
+    assert_close(found, expected)
+    assert {name for name, p in found.items() if p is None} == {name for name, p in expected.items() if p is None}
+
+
+def test_what_is_not_rendered_gets_no_gradient():
+    """So that the optimiser need not look at it."""
+    found = outcome(look, given(20, 15, light=False), 0)
+    assert found["g_rest"] is None and found["g_shades"] is None
+    assert not outcome(look, given(20, 15), 3)["g_rest"][:, 3:].any()
+
+
+def test_sizes_and_opacities_at_their_ends():
+    """Beyond what float32 holds, sizes are infinite or zero, as exp says; what is not a number stays so."""
+    inputs = given(8, 0)
+    ends = torch.tensor([-200.0, -87.5, -80, -30, 30, 80, 87.5, float("nan")])
+    inputs["logs"], inputs["logits"] = ends[:, None].expand(8, 3).contiguous(), ends
+    (sizes,), opacities, _ = look((inputs["logs"],), inputs["logits"], inputs["dc"], inputs["rest"], 0, None, None)
+    assert torch.equal(sizes[[0, 1, 6], 0], torch.tensor([0.0, 0.0, torch.inf])) and sizes[7].isnan().all() and opacities[7].isnan()
+    assert torch.allclose(sizes[2:6, 0].double(), ends[2:6].double().exp(), rtol=1e-5)
+    assert torch.allclose(opacities[1:7].double(), ends[1:7].double().sigmoid(), rtol=1e-5, atol=1e-37)
+
+
+def test_bit_equal_for_any_number_of_threads():
+    before, results = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 5):
+            torch.set_num_threads(threads)
+            results.append(outcome(look, given(3000), 8))
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(p, results[0][name]) for result in results for name, p in result.items())
+
+
+def test_tensors_that_lie_across_others_are_taken():
+    inputs = given(40, 8)
+    across = {name: torch.stack([p, p], -1)[..., 0] for name, p in inputs.items()}
+    found, expected = (outcome(look, one, 8) for one in (across, inputs))
+    assert all(torch.equal(p, expected[name]) for name, p in found.items())
+
+
+WRONG = [
+    ("logs", torch.ones(4, 3)),
+    ("others", torch.ones(5, 1)),
+    ("logits", torch.ones(5, 1)),
+    ("dc", torch.ones(5, 3)),
+    ("rest", torch.ones(5, 7, 3)),
+    ("shades", torch.ones(5, 4)),
+    ("light", torch.ones(4)),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), WRONG, ids=str)
+def test_what_the_kernels_do_not_take_is_refused(name, value):
+    with pytest.raises(ValueError, match="must be"):
+        outcome(look, given(5, 8) | {name: value}, 8)
+
+
+def test_gradients_that_have_no_room_are_refused():
+    inputs = [given(5, 8)[name] for name in ("logs", "logits", "dc", "rest")]
+    inputs.insert(1, None)
+    everything = [*inputs, None, None]
+    out = torch.ones(5, 3), None, torch.ones(5), torch.ones(5, 9, 3)
+    with pytest.raises(ValueError, match="incoming gradients"):
+        _kernels.looks_backward(everything, 8, out, out, [None] * 7, 1)
