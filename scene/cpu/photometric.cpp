@@ -63,7 +63,7 @@ private:
 
     void moments(int begin) {
         for (int at = std::max(begin, 0); at < std::min(begin + kTogether, in.height); ++at) {
-            float* const out[kMoments] = {ring(0, at), ring(1, at), ring(2, at), ring(3, at), ring(4, at)};
+            float* const out[kMoments] = {ring(0, at), ring(1, at), ring(2, at), ring(3, at)};
             moments_row(image(in.x, at), image(in.y, at), in.n, out, row(1));
         }
     }

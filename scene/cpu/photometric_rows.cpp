@@ -72,12 +72,10 @@ E4DGS_CLONES void moments_row(const float* __restrict x, const float* __restrict
     convolve_row(scratch, n, out[0]);
     std::copy(y, y + n, p);
     convolve_row(scratch, n, out[1]);
-    for (int i = 0; i < n; ++i) p[i] = x[i] * x[i];
+    for (int i = 0; i < n; ++i) p[i] = x[i] * x[i] + y[i] * y[i];
     convolve_row(scratch, n, out[2]);
-    for (int i = 0; i < n; ++i) p[i] = y[i] * y[i];
-    convolve_row(scratch, n, out[3]);
     for (int i = 0; i < n; ++i) p[i] = x[i] * y[i];
-    convolve_row(scratch, n, out[4]);
+    convolve_row(scratch, n, out[3]);
 }
 
 E4DGS_CLONES void ssim_rows(const float* const maps[kMoments][kSpan], int n, const SsimRow out[kTogether]) {
@@ -86,13 +84,13 @@ E4DGS_CLONES void ssim_rows(const float* const maps[kMoments][kSpan], int n, con
         const int count = std::min(kChunk, n - begin);
         for (int k = 0; k < kMoments; ++k) convolve_columns(maps[k], begin, count, m[k]);
         for (int o = 0; o < kTogether; ++o) {
-            const float *m0 = m[0][o], *m1 = m[1][o], *m2 = m[2][o], *m3 = m[3][o], *m4 = m[4][o];
+            const float *m0 = m[0][o], *m1 = m[1][o], *m2 = m[2][o], *m3 = m[3][o];
             float *ssim = out[o].ssim + begin, *d_mu = out[o].d[0] + begin, *d_xx = out[o].d[1] + begin, *d_xy = out[o].d[2] + begin;
 #pragma GCC ivdep
             for (int i = 0; i < count; ++i) {
                 const float mx = m0[i], my = m1[i];
-                const float vx = m2[i] - mx * mx, vy = m3[i] - my * my, cov = m4[i] - mx * my;
-                const float a = 2 * mx * my + kC1, b = 2 * cov + kC2, c = mx * mx + my * my + kC1, d = vx + vy + kC2;
+                const float squares = mx * mx + my * my, variances = m2[i] - squares, cov = m3[i] - mx * my;
+                const float a = 2 * mx * my + kC1, b = 2 * cov + kC2, c = squares + kC1, d = variances + kC2;
                 const float inv = 1.0f / (c * d), s = a * b * inv;
                 const float ds_dcov = 2 * a * inv, ds_dvx = -s / d;
                 ssim[i] = s;

@@ -5,7 +5,7 @@ namespace e4dgs {
 
 constexpr int kRadius = 5, kTaps = 2 * kRadius + 1;          // of the window
 constexpr int kChannels = 3, kPad = kRadius * kChannels;     // kPad: floats on either side of a padded row
-constexpr int kMoments = 5, kDerivatives = 3;
+constexpr int kMoments = 4, kDerivatives = 3;  // SSIM needs E[xx] and E[yy] as a sum alone
 constexpr int kTogether = 4;                                 // rows that go through the vertical window together: each value is loaded once for all
 constexpr int kSpan = kTaps + kTogether - 1;                 // rows that they need
 constexpr int kSpare = 8;                                    // floats after each row that may be overwritten
@@ -15,7 +15,7 @@ struct SsimRow {
     float *ssim, *d[kDerivatives];
 };
 
-// x, y, xx, yy, xy of one row through the horizontal window. scratch: a padded row whose pad is zero.
+// x, y, xx + yy, xy of one row through the horizontal window. scratch: a padded row whose pad is zero.
 void moments_row(const float* x, const float* y, int n, float* const out[kMoments], float* scratch);
 
 // From the moments of kSpan rows to kTogether rows of SSIM.
