@@ -141,9 +141,9 @@ def test_nothing_leaves_torch_unseen(pretending):
             leave()
     assert x.numpy(force=True).shape == x.cpu().numpy().shape == (3, 2)
     with pytest.raises(TypeError):  # kernels of the CPU take no such tensors
-        _kernels.adam_rows(x, x, x, x, None, None, 1, 0.1, 0.9, 0.99, 1e-15, 1)
+        _kernels.adam([(x, x, x, x, None, None, 1, 0.1)], 0.9, 0.99, 1e-15, 1)
     with pytest.raises(TypeError):
-        _kernels.adam_rows(here(6).view(3, 2), x, x, x, None, None, 1, 0.1, 0.9, 0.99, 1e-15, 1)
+        _kernels.adam([(here(6).view(3, 2), x, x, x, None, None, 1, 0.1)], 0.9, 0.99, 1e-15, 1)
 
 
 @pytest.mark.parametrize(

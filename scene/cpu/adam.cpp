@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <utility>
 
 #include "clones.h"
 #include "flush.h"
@@ -122,26 +123,23 @@ E4DGS_CLONES void adam_chosen_block(float* p, const float* g, float* m, float* v
 
 }  // namespace
 
-void adam_rows(float* parameter, const float* gradient, float* first, float* second, const float* pace, int64_t rows, int64_t width, const AdamStep& step,
-               int threads) {
-    const int64_t each = std::max<int64_t>(1, kGrain / std::max<int64_t>(1, width)), blocks = (rows + each - 1) / each;
+void adam(const std::vector<AdamRows>& all, int threads) {
+    std::vector<std::pair<const AdamRows*, int64_t>> blocks;  // and the first row of each
+    const auto each = [](const AdamRows& of) { return std::max<int64_t>(1, kGrain / std::max<int64_t>(1, of.width)); };
+    for (const AdamRows& of : all)
+        for (int64_t row = 0; row < of.rows; row += each(of)) blocks.emplace_back(&of, row);
 #pragma omp parallel num_threads(threads)
     {
         [[maybe_unused]] const FlushDenormals flush;
 #pragma omp for schedule(static)
-        for (int64_t b = 0; b < blocks; ++b) adam_block(parameter, gradient, first, second, pace, b * each, std::min(rows, (b + 1) * each), width, step);
-    }
-}
-
-void adam_chosen(float* parameter, const float* gradient, float* first, float* second, const float* pace, const int64_t* index, int64_t count, int64_t width,
-                 const AdamStep& step, int threads) {
-    const int64_t each = std::max<int64_t>(1, kGrain / std::max<int64_t>(1, width)), blocks = (count + each - 1) / each;
-#pragma omp parallel num_threads(threads)
-    {
-        [[maybe_unused]] const FlushDenormals flush;
-#pragma omp for schedule(static)
-        for (int64_t b = 0; b < blocks; ++b)
-            adam_chosen_block(parameter, gradient, first, second, pace, index, b * each, std::min(count, (b + 1) * each), width, step);
+        for (size_t k = 0; k < blocks.size(); ++k) {
+            const auto [of, begin] = blocks[k];
+            const int64_t end = std::min(of->rows, begin + each(*of));
+            if (of->index)
+                adam_chosen_block(of->parameter, of->gradient, of->first, of->second, of->pace, of->index, begin, end, of->width, of->step);
+            else
+                adam_block(of->parameter, of->gradient, of->first, of->second, of->pace, begin, end, of->width, of->step);
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 // Adam (Kingma and Ba 2015) on the rows that got a gradient.
 #pragma once
 #include <cstdint>
+#include <vector>
 
 namespace e4dgs {
 
@@ -9,13 +10,17 @@ struct AdamStep {
     float correction1, correction2;  // 1 - beta^step
 };
 
-// parameter, gradient, first, second [rows, width]. A row whose gradient is all zero is left unchanged, including its moments. pace [rows]: a
-// factor on the rate of each row; null: 1.
-void adam_rows(float* parameter, const float* gradient, float* first, float* second, const float* pace, int64_t rows, int64_t width, const AdamStep& step,
-               int threads);
+// A parameter of `width` columns, and its moments of the same shape. gradient [rows, width] and pace [rows], a factor on the rate of each row, are those
+// of row `index[k]` at k, and no row occurs twice; index null: of all rows, in their order; pace null: 1.
+struct AdamRows {
+    float *parameter, *first, *second;
+    const float *gradient, *pace;
+    const int64_t* index;
+    int64_t rows, width;
+    AdamStep step;
+};
 
-// The same for some rows of parameter, first and second. gradient [count, width] and pace [count]: those of row `index[k]` are at k. No row occurs twice.
-void adam_chosen(float* parameter, const float* gradient, float* first, float* second, const float* pace, const int64_t* index, int64_t count, int64_t width,
-                 const AdamStep& step, int threads);
+// One step of each. A row whose gradient is all zero is left unchanged, including its moments.
+void adam(const std::vector<AdamRows>& all, int threads);
 
 }  // namespace e4dgs

@@ -2,6 +2,7 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -11,6 +12,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -99,6 +101,25 @@ void link_to(e4dgs::Skinning& in, const Links& link) {
 
 size_t outputs_of(const e4dgs::FieldInput& in) { return in.mlp.outputs ? size_t(in.mlp.outputs) : size_t(in.channels) * in.levels.size(); }
 
+// parameter, gradient, first and second moment, pace, index, number of the step, rate. index: the rows of parameter, first and second to which gradient
+// and pace belong; None: all of them. pace: a factor on the rate of each row; None: 1.
+using Rates = std::tuple<Out, In, Out, Out, std::optional<In>, std::optional<Rows>, int64_t, float>;
+
+e4dgs::AdamRows adam_of(const Rates& one, float beta1, float beta2, float epsilon) {
+    const auto& [parameter, gradient, first, second, pace, index, step, rate] = one;
+    const size_t size = parameter.size(), rows = parameter.ndim() ? parameter.shape(0) : 1, width = rows ? size / rows : 0;
+    const size_t given = index ? index->shape(0) : rows;
+    if (gradient.size() != given * width || first.size() != size || second.size() != size)
+        throw std::invalid_argument("gradient must have the shape of the rows it belongs to, moments that of the parameter");
+    if (index && std::any_of(index->data(), index->data() + given, [rows = rows](int64_t row) { return row < 0 || size_t(row) >= rows; }))
+        throw std::invalid_argument("index names a row that the parameter does not have");
+    if (pace && pace->size() != given) throw std::invalid_argument("pace must have one number for each row of gradient");
+    if (step < 1) throw std::invalid_argument("the first step is number 1");
+    const auto correction = [number = step](float beta) { return float(1.0 - std::pow(double(beta), double(number))); };
+    return {parameter.data(), first.data(), second.data(), gradient.data(), pace ? pace->data() : nullptr, index ? index->data() : nullptr,
+            int64_t(given), int64_t(width), {rate, beta1, beta2, epsilon, correction(beta1), correction(beta2)}};
+}
+
 }  // namespace
 
 NB_MODULE(_kernels, m) {
@@ -174,31 +195,15 @@ NB_MODULE(_kernels, m) {
         "select_kernels", [](const std::string& name) { return e4dgs::select_field_kernels(name.c_str()); }, nb::arg("name"),
         "Use another instruction set for the field; False where the processor or the build lacks it.");
 
-    // index: the rows of parameter, first and second to which gradient and pace belong; null: all of them. pace: a factor on the rate of each row; null: 1.
     m.def(
-        "adam_rows",
-        [](const Out& parameter, const In& gradient, const Out& first, const Out& second, const std::optional<In>& pace, const std::optional<Rows>& index,
-           int64_t step, float rate, float beta1, float beta2, float epsilon, int threads) {
-            const size_t size = parameter.size(), rows = parameter.ndim() ? parameter.shape(0) : 1, width = rows ? size / rows : 0;
-            const size_t given = index ? index->shape(0) : rows;
-            if (gradient.size() != given * width || first.size() != size || second.size() != size)
-                throw std::invalid_argument("gradient must have the shape of the rows it belongs to, moments that of the parameter");
-            if (index && std::any_of(index->data(), index->data() + given, [rows](int64_t row) { return row < 0 || size_t(row) >= rows; }))
-                throw std::invalid_argument("index names a row that the parameter does not have");
-            if (pace && pace->size() != given) throw std::invalid_argument("pace must have one number for each row of gradient");
-            if (step < 1) throw std::invalid_argument("the first step is number 1");
-            const auto correction = [step](float beta) { return float(1.0 - std::pow(double(beta), double(step))); };
-            const e4dgs::AdamStep adam{rate, beta1, beta2, epsilon, correction(beta1), correction(beta2)};
-            const float* paces = pace ? pace->data() : nullptr;
+        "adam",
+        [](const std::vector<Rates>& all, float beta1, float beta2, float epsilon, int threads) {
+            std::vector<e4dgs::AdamRows> steps;
+            for (const Rates& one : all) steps.push_back(adam_of(one, beta1, beta2, epsilon));
             nb::gil_scoped_release release;
-            if (index)
-                e4dgs::adam_chosen(parameter.data(), gradient.data(), first.data(), second.data(), paces, index->data(), int64_t(given), int64_t(width), adam,
-                                   threads);
-            else
-                e4dgs::adam_rows(parameter.data(), gradient.data(), first.data(), second.data(), paces, int64_t(rows), int64_t(width), adam, threads);
+            e4dgs::adam(steps, threads);
         },
-        nb::arg("parameter"), nb::arg("gradient"), nb::arg("first"), nb::arg("second"), nb::arg("pace").none(), nb::arg("index").none(), nb::arg("step"), nb::arg("rate"),
-        nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"), nb::arg("threads"));
+        nb::arg("all"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"), nb::arg("threads"));
 
     m.def("smoothness", [](const Ins& space, const Ins& time, const Outs& grad_space, const Outs& grad_time, int threads) {
         std::vector<e4dgs::PlaneStack> stacks;

@@ -102,6 +102,7 @@ class RowAdam:
             self.step_if_finite({}, progress, frozen)
             return
         paces: dict[tuple[str, bool], Tensor | None] = {}
+        steps = []
         for name, p in self._parameters.items():
             grad, index = rows.gradient(name, p)
             if grad is None or not grad.numel() or name.split(".")[0] in frozen:
@@ -111,7 +112,8 @@ class RowAdam:
             if kind not in paces:  # the same for all that belongs to a kind, and of copied rows alone where there are some
                 paces[kind] = self._pace_of(kind[0], self._parameters if index is None else rows.parameters)
             tensors = p.detach(), grad.contiguous(), state.first, state.second, paces[kind]
-            _kernels.adam_rows(*tensors, index, state.steps, self.rates[name](progress), *self.betas, EPSILON, torch.get_num_threads())
+            steps.append((*tensors, index, state.steps, self.rates[name](progress)))
+        _kernels.adam(steps, *self.betas, EPSILON, torch.get_num_threads())
         self.zero_grad()
 
     def step_if_finite(self, others: dict[str, Tensor], progress: float, frozen: frozenset[str] = frozenset()) -> Attempt:

@@ -64,7 +64,7 @@ def step(case, number=3, launcher=None, pace=None):
 
 def step_on_cpu(case, number=3, pace=None):
     p, g, m, v = (t.clone() for t in case)
-    _kernels.adam_rows(p, g, m, v, pace, None, number, RATE, BETA1, BETA2, EPSILON, 1)
+    _kernels.adam([(p, g, m, v, pace, None, number, RATE)], BETA1, BETA2, EPSILON, 1)
     return p, m, v
 
 

@@ -187,11 +187,11 @@ def test_state_survives_saving():
 
 def test_wrong_shapes_are_refused():
     with pytest.raises(ValueError, match="index names a row"):
-        _kernels.adam_rows(torch.ones(3), torch.ones(1), torch.ones(3), torch.ones(3), None, torch.tensor([3]), 1, 0.1, 0.9, 0.99, 1e-8, 1)
+        _kernels.adam([(torch.ones(3), torch.ones(1), torch.ones(3), torch.ones(3), None, torch.tensor([3]), 1, 0.1)], 0.9, 0.99, 1e-8, 1)
     with pytest.raises(ValueError, match="the rows it belongs to"):
-        _kernels.adam_rows(torch.ones(3), torch.ones(2), torch.ones(3), torch.ones(3), None, None, 1, 0.1, 0.9, 0.99, 1e-8, 1)
+        _kernels.adam([(torch.ones(3), torch.ones(2), torch.ones(3), torch.ones(3), None, None, 1, 0.1)], 0.9, 0.99, 1e-8, 1)
     x = torch.ones(6, 3)
     for pace, index in ((torch.ones(5), None), (torch.ones(6), torch.tensor([1, 2]))):
         grad = x if index is None else x[:2]
         with pytest.raises(ValueError, match="pace must have one number for each row of gradient"):
-            _kernels.adam_rows(x.clone(), grad, x.clone(), x.clone(), pace, index, 1, 0.1, 0.9, 0.99, 1e-8, 1)
+            _kernels.adam([(x.clone(), grad, x.clone(), x.clone(), pace, index, 1, 0.1)], 0.9, 0.99, 1e-8, 1)
