@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .looks import look
+from .cpu.looks import look
 from .rotation import quats_to_matrices
 
 SH_C0 = 0.28209479177387814  # value of the degree-0 spherical harmonic
@@ -86,19 +86,12 @@ class PrimitiveSet:
         other.parameters, other.dynamic = kept, self.dynamic
         return other
 
-    def sh(self, degree: int, light: Tensor | None = None) -> Tensor:
-        """[N, (degree+1)^2, 3], or fewer coefficients if the set has no more. Under ``light`` [C], the colour that all directions share is
-        multiplied by 1 + shades . light, where the set carries the attribute `shades` [N, C]."""
-        dc = self.sh_dc
-        if light is not None:
-            # Not a matrix product: its gradient may depend on where tensors lie in memory, and a resumed training would differ.
-            gain = (self.shades * light).sum(1)
-            dc = dc + gain[:, None, None] * (dc + 0.5 / SH_C0)  # a colour is 0.5 + SH_C0 dc
-        rest = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
-        return torch.cat([dc, self.sh_rest[:, :rest]], dim=1) if rest else dc
-
     def activated(self, logs: tuple[Tensor, ...], degree: int, light: Tensor | None = None) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
-        """The exponentials of ``logs``, one or two float32 tensors of N rows; `opacities`; `sh`. One kernel, on the CPU and on a GPU."""
+        """The exponentials of ``logs``, one or two float32 tensors of N rows; `opacities`; and the colours up to ``degree``: coefficients
+        [N, (degree+1)^2, 3], or fewer if the set has no more. One kernel, on the CPU and on a GPU.
+
+        Under ``light`` [C], the colour that all directions share is multiplied by 1 + shades . light, where the set carries the attribute
+        `shades` [N, C]."""
         shown = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
         given = logs, self.opacity_logits, self.sh_dc, self.sh_rest, shown, self.parameters.get("shades"), light
         if self.device.type == "cpu":

@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Frame
+from ..cpu.appearance import two_backgrounds_loss
 from ..cuda.opposite import Opposite
 from ..model import Model
 from ..settings import TrainingSettings
 from ..views import floats
 from .photometric import photometric_loss, scale_gradient
 from .term import Now, Rendered, Term
-from .two_backgrounds import two_backgrounds_loss
 
 OTHER_BACKGROUND = 0.3  # share of the loss with the opposite background, if the capture has alpha
 

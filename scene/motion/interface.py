@@ -192,7 +192,7 @@ def drawn(
     points: Tensor | None = None,
     light: Tensor | None = None,
 ) -> tuple[Gaussians, Convexes]:
-    """Both kinds, ready for `rasterize`: at rest, but for what is given. light: see `PrimitiveSet.sh`."""
+    """Both kinds, ready for `rasterize`: at rest, but for what is given. light: see `PrimitiveSet.activated`."""
     g, c = scene.gaussians, scene.convexes
     (scales,), opacities, sh = g.activated((g.log_scales if log_scales is None else log_scales,), sh_degree, light)
     (tau, kappa), convex_opacities, convex_sh = c.activated((c.log_tau, c.log_kappa), sh_degree, light)

@@ -37,7 +37,7 @@ def test_without_shades_colours_are_the_same_at_all_times_bit_for_bit():
     model = lit(shades=0.0)
     for t in TIMES:
         for primitives, own in zip(model.at(t), (model.gaussians, model.convexes)):
-            assert torch.equal(primitives.sh, own.sh(1))
+            assert torch.equal(primitives.sh, torch.cat([own.sh_dc, own.sh_rest], 1))
 
 
 def test_light_multiplies_the_colour_that_all_directions_share():
@@ -66,7 +66,8 @@ def test_a_model_from_before_light_is_loaded_and_looks_the_same_at_all_times():
 
 def test_the_rest_state_has_no_light():
     model = lit()
-    assert torch.equal(model.at(0.5, move=False)[0].sh, model.gaussians.sh(1))
+    own = model.gaussians
+    assert torch.equal(model.at(0.5, move=False)[0].sh, torch.cat([own.sh_dc, own.sh_rest], 1))
 
 
 @pytest.mark.parametrize("name", ["shades", "sh_dc"])
@@ -76,7 +77,7 @@ def test_gradients_of_colours_under_light_match_central_differences(name):
     value = gaussians.parameters[name]
 
     def total():
-        return (gaussians.sh(1, light) * weights).sum(dtype=torch.float64)
+        return (gaussians.activated((gaussians.log_scales,), 1, light)[2] * weights).sum(dtype=torch.float64)
 
     gradient = torch.autograd.grad(total(), value)[0].flatten()
     step = 1e-2

@@ -3,7 +3,7 @@
 import pytest
 import torch
 from e4dgs.scene import _kernels
-from e4dgs.scene.looks import look
+from e4dgs.scene.cpu.looks import look
 from e4dgs.scene.primitives import SH_C0
 
 LIMIT = 2e-6  # of the largest number of each result

@@ -7,14 +7,19 @@ from torch import Tensor
 
 from .. import _kernels
 from ..cuda.opposite import Opposite
-from .photometric import Recording
 
 
 def two_backgrounds_loss(
-    image: Tensor, target: Tensor, l1: float, ssim: float, weight: Tensor | None, recording: Recording | None, opposite: Opposite
+    image: Tensor,
+    target: Tensor,
+    l1: float,
+    ssim: float,
+    weight: Tensor | None,
+    recording: tuple[Tensor, Tensor] | None,
+    opposite: Opposite,
 ) -> Tensor:
-    """(1 - share) of `photometric_loss`, share of the same in front of the ``opposite`` background, and the L1 of alpha: a scalar. The other
-    arguments are those of `photometric_loss`; all are float32 on the CPU."""
+    """(1 - share) of `losses.photometric.photometric_loss`, share of the same in front of the ``opposite`` background, and the L1 of
+    alpha: a scalar. The other arguments are those of that function; all are float32 on the CPU."""
     return _TwoBackgrounds.apply(image, opposite.alpha, target, l1, ssim, weight, *(recording or (None, None)), *opposite[1:])
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from . import _kernels
+from .. import _kernels
 
 Looks = tuple[tuple[Tensor, ...], Tensor, Tensor]
 
@@ -27,7 +27,9 @@ def look(
     """
     others = logs[1] if len(logs) > 1 else None
     lit = light is not None and shades is not None
-    sizes, other_sizes, opacities, sh = _Look.apply(shown, logs[0], others, logits, dc, rest, shades if lit else None, light if lit else None)
+    sizes, other_sizes, opacities, sh = _Look.apply(
+        shown, logs[0], others, logits, dc, rest, shades if lit else None, light if lit else None
+    )
     return (sizes,) if other_sizes is None else (sizes, other_sizes), opacities, sh
 
 
