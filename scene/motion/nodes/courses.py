@@ -39,8 +39,8 @@ class SharedCourses(nn.Module):
     def forward(self, encoded: Tensor, times: Tensor) -> Tensor:
         """[T, B, 7] outputs at ``times`` [T] in [0, 1] of places [B, 33] as returned by `encode_places`."""
         courses = self.courses(times) * RANK**-0.5
-        *hidden, last = self.place
-        for layer in hidden:
+        last = self.place[-1]
+        for layer in self.place[:-1]:
             encoded = nn.functional.leaky_relu(layer(encoded), LEAK)
         # The courses go into the last layer before the places do: for a few times it is far smaller than the weights of all courses.
         heads = torch.matmul(courses, last.weight.view(OUTPUTS, RANK, WIDTH)).transpose(0, 1).flatten(0, 1)
