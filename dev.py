@@ -43,8 +43,10 @@ SANITIZED_TESTS = (
     "tests/stress",
     "tests/fuzz",
     "tests/scene/test_hexplane.py",
+    "tests/scene/test_looks.py",
     "tests/scene/test_photometric.py",
     "tests/scene/test_slanted.py",
+    "tests/scene/test_two_backgrounds.py",
     "tests/vision/test_raft.py",
 )
 BUILD_SUFFIXES = {".cpp", ".h", ".inl", ".cmake", ".txt"}
