@@ -43,15 +43,17 @@ export class Program {
   }
 }
 
-// A texture with a texel for each `components` of `values`; `half` keeps 16 bits of each. Of a `texture` that is there already, the texels from
-// `at` on are written.
-export function numbers(gl, values, components, half = false, texture = newTexture(gl), at = 0) {
-  const count = values.length / components, width = Math.max(1, Math.min(count, WIDTH)), height = Math.max(1, Math.ceil(count / WIDTH));
-  if (height > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error("This scene is too large for this device's graphics.");
-  const inner = { 3: half ? gl.RGB16F : gl.RGB32F, 4: half ? gl.RGBA16F : gl.RGBA32F }[components], outer = components === 3 ? gl.RGB : gl.RGBA;
+// A texture with a texel for each `components` of `values`, or for `room` of them; `half` keeps 16 bits of each. Of a `texture` that is there
+// already, the texels from `at` on are written.
+export function numbers(gl, values, components, { half = false, texture = null, at = 0, room = values.length / components } = {}) {
+  const outer = components === 3 ? gl.RGB : gl.RGBA, count = values.length / components;
+  if (!texture) {
+    const width = Math.max(1, Math.min(room, WIDTH)), height = Math.max(1, Math.ceil(room / WIDTH));
+    if (height > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error("This scene is too large for this device's graphics.");
+    texture = newTexture(gl);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, { 3: half ? gl.RGB16F : gl.RGB32F, 4: half ? gl.RGBA16F : gl.RGBA32F }[components], width, height);
+  }
   gl.bindTexture(gl.TEXTURE_2D, texture);
-  if (!texture.there) gl.texStorage2D(gl.TEXTURE_2D, 1, inner, width, height);
-  texture.there = true;
   for (let done = 0; done < count; ) {
     const x = (at + done) % WIDTH, y = Math.floor((at + done) / WIDTH), wide = Math.min(WIDTH - x, count - done);
     const rows = wide === WIDTH ? Math.floor((count - done) / WIDTH) : 1;

@@ -49,12 +49,13 @@ export function laterRows({ windows = [] }, k, name) {
   return windows.slice(k).reduce((sum, one) => sum + one[name === "gaussians" ? 2 : 3], 0);
 }
 
-// A scene with room for the primitives of all its windows, which come last; until they are there, nothing of them is seen.
-export function withRoom({ header, arrays }) {
-  if (!header.windows?.length) return { header, arrays };
+// The header of a scene with all its windows, and of its arrays those in `names`, with room for what the windows hold, which comes last. Until it
+// is there, nothing of it is seen.
+export function withRoom({ header, arrays }, names) {
   const counts = ["gaussians", "convexes"].map((name) => [name, [header[name][0], header[name][1] + laterRows(header, 0, name)]]);
-  const whole = { ...header, ...Object.fromEntries(counts) }, room = {};
-  for (const [name, shape] of Object.entries(shapesOf(whole))) {
+  const whole = { ...header, ...Object.fromEntries(counts) }, shapes = shapesOf(whole), room = {};
+  for (const name of names.filter((one) => shapes[one])) {
+    const shape = shapes[name];
     room[name] = { shape, values: new Float32Array(shape[0] * shape[1] * shape[2]) };
     room[name].values.set(arrays[name].values);
   }
@@ -69,11 +70,11 @@ export function checkWindow(part, header, k) {
   expect(same && `${gaussians}/${convexes}` === `0,${g}/0,${c}`, "It belongs to another scene.");
 }
 
-// Puts the primitives of window k where there is room for them.
+// Puts the primitives of window k into such arrays.
 export function placeRows({ header, arrays }, part, k) {
-  for (const [name, { shape: [, m, c], values }] of Object.entries(part.arrays)) {
-    const { shape: [rows], values: all } = arrays[name], later = laterRows(header, k, name.startsWith("g_") ? "gaussians" : "convexes");
-    if (all.length) all.set(values, (rows - later) * m * c);  // else it was handed over, see worker.js
+  for (const [name, { shape: [rows], values }] of Object.entries(arrays)) {
+    const later = laterRows(header, k, name.startsWith("g_") ? "gaussians" : "convexes");
+    values.set(part.arrays[name].values, (values.length / rows) * (rows - later));
   }
 }
 

@@ -1,7 +1,6 @@
 // The player: what is shown (camera, time), when it is sorted and drawn, and what `window.e4dgs` offers.
 import { Camera, checkView } from "./camera.js";
 import { Controls } from "./controls.js";
-import { placeRows } from "./layout.js";
 import { Panel, bare, say, showHelp } from "./panel.js";
 import { Renderer } from "./renderer.js";
 import { startSorter } from "./sorter.js";
@@ -56,7 +55,7 @@ export class Player {
   async #add(k, bytes) {
     this.bytes += bytes.length;
     const part = await this.sorter.add(k, bytes);
-    placeRows(this.scene, part, k);
+    this.scene.parts[k] = part;
     this.renderer.add(part, k);
     this.last = "";
   }

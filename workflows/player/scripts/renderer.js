@@ -25,9 +25,9 @@ export class Renderer {
 
   // Everything on the graphics device is made from `scene`, again after its context was lost.
   load(scene) {
-    const { gl } = this, { header, arrays } = scene;
+    const { gl } = this, { header } = scene;
     this.scene = scene;
-    this.gaussians = arrays.g_means.shape[0], this.convexes = arrays.c_points.shape[0];
+    this.gaussians = header.gaussians[0] + header.gaussians[1], this.convexes = header.convexes[0] + header.convexes[1];
     this.corners = Math.max(3, header.corners);
     const defines = { TILE, CORNERS: this.corners, COEFFICIENTS: (header.sh_degree + 1) ** 2, DILATION: header.antialiased ? PIXEL_VARIANCE : DILATION };
     const flags = { [header.motion.toUpperCase()]: true, ANTIALIASED: header.antialiased, LIGHT: header.light, CONVEXES: this.convexes > 0 };
@@ -54,9 +54,10 @@ export class Renderer {
     this.order = ordered(gl, total);
     this.count = 0;
     this.picture = this.size = this.poses = this.posesTime = this.keys = null;
+    scene.parts.forEach((part, k) => this.add(part, k));
   }
 
-  // Takes over the primitives of window k, which `this.scene` holds now.
+  // Draws the primitives of window k, too, from now on.
   add(part, k) {
     const { header } = this.scene, from = (name, all) => all - laterRows(header, k, name);
     const [g, c] = [from("gaussians", this.gaussians), from("convexes", this.convexes)];
@@ -185,7 +186,7 @@ export class Renderer {
 
   #nodes(t) {
     if (this.poses === null || this.posesTime !== t) {
-      this.poses = numbers(this.gl, posesAt(this.scene, t), 4, false, this.poses ?? undefined);
+      this.poses = numbers(this.gl, posesAt(this.scene, t), 4, { texture: this.poses });
       this.posesTime = t;
       this.uploads.poses += 1;
     }

@@ -4,6 +4,7 @@ import { numbers } from "./gpu.js";
 import { reachOf } from "./motion.js";
 
 export function gaussianTextures(gl, { header, arrays }, old = {}, at = 0, moving = 0) {
+  const put = putter(gl, old, at, header.gaussians[0] + header.gaussians[1]);
   const count = arrays.g_means.shape[0], means = arrays.g_means.values, opacity = arrays.g_opacity.values, three = arrays.g_turns.values;
   const first = new Float32Array(4 * count), turns = new Float32Array(4 * count), scales = new Float32Array(4 * count);
   for (let i = 0, a = 0, b = 0; i < count; ++i, a += 4, b += 3) {
@@ -12,26 +13,31 @@ export function gaussianTextures(gl, { header, arrays }, old = {}, at = 0, movin
     for (let j = 0; j < 3; ++j) first[a + j] = means[b + j], scales[a + j] = Math.exp(arrays.g_scales.values[b + j]);
     first[a + 3] = Math.min(Math.max(opacity[i], 0), 1);
   }
-  const found = { uMeans: numbers(gl, first, 4, false, old.uMeans, at), uTurns: numbers(gl, turns, 4, false, old.uTurns, at) };
-  found.uScales = numbers(gl, scales, 4, false, old.uScales, at);
-  return Object.assign(found, shared(gl, header, arrays, "g", count, old, at, moving));
+  const found = { uMeans: put("uMeans", first, 4), uTurns: put("uTurns", turns, 4), uScales: put("uScales", scales, 4) };
+  return Object.assign(found, shared(gl, header, arrays, "g", count, put, putter(gl, old, moving, header.gaussians[1])));
 }
 
 export function convexTextures(gl, { header, arrays }, old = {}, at = 0, moving = 0) {
+  const put = putter(gl, old, at, header.convexes[0] + header.convexes[1]);
   const count = arrays.c_points.shape[0], shapes = new Float32Array(4 * count);
   for (let i = 0; i < count; ++i) {
     shapes[4 * i] = Math.exp(arrays.c_shape.values[2 * i]), shapes[4 * i + 1] = Math.exp(arrays.c_shape.values[2 * i + 1]);
     shapes[4 * i + 2] = Math.min(Math.max(arrays.c_opacity.values[i], 0), 1);
   }
-  const found = { uPoints: numbers(gl, widened(arrays.c_points.values, 3), 4, false, old.uPoints, at * arrays.c_points.shape[1]) };
-  found.uShapes = numbers(gl, shapes, 4, false, old.uShapes, at);
-  return Object.assign(found, shared(gl, header, arrays, "c", count, old, at, moving));
+  const found = { uPoints: put("uPoints", widened(arrays.c_points.values, 3), 4, header.corners), uShapes: put("uShapes", shapes, 4) };
+  return Object.assign(found, shared(gl, header, arrays, "c", count, put, putter(gl, old, moving, header.convexes[1])));
 }
 
-// SH, shades, and what the motion knows of each.
-function shared(gl, header, arrays, kind, count, old, at, moving) {
-  const found = { uSh: numbers(gl, harmonics(header, arrays, kind, count), 3, true, old.uSh, at * (header.sh_degree + 1) ** 2) };
-  if (header.light) found.uShades = numbers(gl, widened(arrays[`${kind}_shades`].values, 3), 4);
+// Writes the texture of a name, which has `each` texels for a primitive, from primitive `at` on; a new one has room for `room` of them.
+function putter(gl, old, at, room) {
+  return (name, values, components, each = 1, half = false) =>
+    numbers(gl, values, components, { half, texture: old[name], at: at * each, room: room * each });
+}
+
+// SH, shades, and what the motion knows of each. put: for all of a kind; putMoving: for those that move.
+function shared(gl, header, arrays, kind, count, put, putMoving) {
+  const found = { uSh: put("uSh", harmonics(header, arrays, kind, count), 3, (header.sh_degree + 1) ** 2, true) };
+  if (header.light) found.uShades = put("uShades", widened(arrays[`${kind}_shades`].values, 3), 4);
   if (header.motion === "lives") {
     const [life, drift, spin] = ["life", "drift", "spin"].map((name) => arrays[`${kind}_${name}`].values);
     const lives = new Float32Array(4 * life.length);
@@ -40,7 +46,7 @@ function shared(gl, header, arrays, kind, count, old, at, moving) {
       lives[a] = life[2 * i], lives[a + 1] = Math.exp(-life[2 * i + 1]);
       for (let j = 0; j < 3; ++j) lives[a + 2 + j] = drift[3 * i + j] / reach, lives[a + 5 + j] = spin[3 * i + j] / reach;
     }
-    found.uLives = numbers(gl, lives, 4, false, old.uLives, 2 * moving);
+    found.uLives = putMoving("uLives", lives, 4, 2);
   }
   if (header.motion === "nodes") {
     const weights = widened(arrays[`${kind}_weights`].values, 3);
@@ -82,5 +88,5 @@ export function keyTextures(gl, { arrays }, key, old) {
     for (let j = 0; j < 3; ++j) all[12 * i + j] = means[3 * i + j], all[12 * i + 8 + j] = scales[3 * i + j];
     for (let j = 0; j < 4; ++j) all[12 * i + 4 + j] = turns[4 * i + j];
   }
-  return { g: numbers(gl, all, 4, false, old?.g), c: numbers(gl, widened(row("c_path_points"), 3), 4, false, old?.c) };
+  return { g: numbers(gl, all, 4, { texture: old?.g }), c: numbers(gl, widened(row("c_path_points"), 3), 4, { texture: old?.c }) };
 }

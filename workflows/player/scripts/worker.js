@@ -72,13 +72,12 @@ export class Answers {
   }
 
   async #open(bytes) {
-    const read = await readContainer(bytes);
-    checkScene(read);
-    const scene = withRoom(read);
+    const { header, arrays } = await readContainer(bytes);
+    checkScene({ header, arrays });
+    const scene = withRoom({ header, arrays }, KEPT);
     this.depths = new Depths(scene);
     this.sorter = new Sorter(this.depths.count);
-    const moved = Object.entries(scene.arrays).filter(([name]) => !KEPT.includes(name)).map(([, one]) => one.values.buffer);
-    this.post({ kind: "opened", scene }, moved);
+    this.post({ kind: "opened", scene: { header: scene.header, arrays, parts: [] } }, buffersOf(arrays));
   }
 
   async #add({ id, bytes, window }) {
@@ -87,7 +86,7 @@ export class Answers {
       checkWindow(part, scene.header, window);
       placeRows(scene, part, window);
       this.depths = new Depths(scene);
-      this.post({ kind: "added", id, part }, Object.values(part.arrays).map(({ values }) => values.buffer));
+      this.post({ kind: "added", id, part }, buffersOf(part.arrays));
     } catch (error) {
       this.post({ kind: "refused", id, message: error.message });
     }
@@ -100,6 +99,8 @@ export class Answers {
     this.post({ kind: "sorted", id, order: result, count, milliseconds: performance.now() - start }, [result.buffer]);
   }
 }
+
+const buffersOf = (arrays) => Object.values(arrays).map(({ values }) => values.buffer);
 
 // The code of a worker, or the page's own thread where there are none.
 export function answersTo(scope) {
