@@ -117,6 +117,14 @@ def test_a_place_takes_its_share_of_the_courses():
             assert torch.allclose(outputs, expected, rtol=1e-12, atol=1e-12)
 
 
+def test_with_and_without_gradients_nodes_are_the_same_bit_for_bit():
+    """What is exported is what is rendered."""
+    nodes = moving()
+    there = nodes.at(0.4)
+    with torch.no_grad():
+        assert all(torch.equal(p, q) for p, q in zip(nodes.at(0.4), there))
+
+
 def test_several_times_at_once_are_those_one_by_one():
     nodes = moving()
     for t, together in zip((0.0, 0.4, 2.0), nodes.at_times([0.0, 0.4, 2.0])):

@@ -43,7 +43,8 @@ class SharedCourses(nn.Module):
         for layer in self.place[:-1]:
             encoded = nn.functional.leaky_relu(layer(encoded), LEAK)
         # The courses go into the last layer before the places do: for a few times it is far smaller than the weights of all courses.
-        heads = torch.matmul(courses, last.weight.view(OUTPUTS, RANK, WIDTH)).transpose(0, 1).flatten(0, 1)
+        # Not `matmul`, which rounds otherwise where there are gradients.
+        heads = torch.bmm(courses.expand(OUTPUTS, -1, -1), last.weight.view(OUTPUTS, RANK, WIDTH)).transpose(0, 1).flatten(0, 1)
         biases = (courses @ last.bias.view(OUTPUTS, RANK).T).flatten()
         return torch.addmm(biases, encoded, heads.T).view(len(encoded), len(times), OUTPUTS).transpose(0, 1)
 
