@@ -39,14 +39,13 @@ class SharedCourses(nn.Module):
     def forward(self, encoded: Tensor, times: Tensor) -> Tensor:
         """[T, B, 7] outputs at ``times`` [T] in [0, 1] of places [B, 33] as returned by `encode_places`."""
         courses = self.courses(times) * RANK**-0.5
-        last = self.place[-1]
-        for layer in self.place[:-1]:
-            encoded = nn.functional.leaky_relu(layer(encoded), LEAK)
+        hidden, last = to_the_last(self.place, encoded), self.place[-1]
+        assert isinstance(last, nn.Linear)
         # The courses go into the last layer before the places do: for a few times it is far smaller than the weights of all courses.
         # Not `matmul`, which rounds otherwise where there are gradients.
         heads = torch.bmm(courses.expand(OUTPUTS, -1, -1), last.weight.view(OUTPUTS, RANK, WIDTH)).transpose(0, 1).flatten(0, 1)
         biases = (courses @ last.bias.view(OUTPUTS, RANK).T).flatten()
-        return torch.addmm(biases, encoded, heads.T).view(len(encoded), len(times), OUTPUTS).transpose(0, 1)
+        return torch.addmm(biases, hidden, heads.T).view(len(encoded), len(times), OUTPUTS).transpose(0, 1)
 
     def courses(self, times: Tensor) -> Tensor:
         """[T, RANK] courses at ``times`` [T] in [0, 1]."""
@@ -82,6 +81,11 @@ def layers(sizes: list[int], generator: torch.Generator) -> list[nn.Linear]:
 
 def through(layers: nn.ModuleList, x: Tensor) -> Tensor:
     """``x`` [N, d] through ``layers``, with leaky ReLUs between them."""
+    return layers[-1](to_the_last(layers, x))
+
+
+def to_the_last(layers: nn.ModuleList, x: Tensor) -> Tensor:
+    """What the last of ``layers`` takes, if ``x`` [N, d] goes through those before it."""
     for layer in layers[:-1]:
         x = nn.functional.leaky_relu(layer(x), LEAK)
-    return layers[-1](x)
+    return x
