@@ -26,10 +26,8 @@ def look(
     reach all that is used and are bit-equal for any number of threads. Raises ValueError for other shapes.
     """
     others = logs[1] if len(logs) > 1 else None
-    lit = light is not None and shades is not None
-    sizes, other_sizes, opacities, sh = _Look.apply(
-        shown, logs[0], others, logits, dc, rest, shades if lit else None, light if lit else None
-    )
+    of_light = (None, None) if light is None else (shades, light)
+    sizes, other_sizes, opacities, sh = _Look.apply(shown, logs[0], others, logits, dc, rest, *of_light)
     return (sizes,) if other_sizes is None else (sizes, other_sizes), opacities, sh
 
 

@@ -78,6 +78,12 @@ def test_what_the_kernels_do_not_take_is_refused(name, value):
         outcome(look, given(5, 8) | {name: value}, 8)
 
 
+def test_a_light_that_nothing_follows_is_refused():
+    inputs = given(5, 8)
+    with pytest.raises(ValueError, match="given together"):
+        look((inputs["logs"],), inputs["logits"], inputs["dc"], inputs["rest"], 8, None, inputs["light"])
+
+
 def test_gradients_that_have_no_room_are_refused():
     inputs = [given(5, 8)[name] for name in ("logs", "logits", "dc", "rest")]
     inputs.insert(1, None)
