@@ -14,7 +14,7 @@ class CoarseSettings(MotionSettings, TrainingSettings):
     respelled: ClassVar = {"iterations": {"0": None}}
 
     iterations: int | None = Field(None, ge=1, le=1_000_000, description="optimiser steps of this stage; none: chosen for the capture")
-    effort: float = Field(1.0, gt=0, le=100, description="factor on the number of steps that is chosen for the capture")
+    effort: float = Field(1.0, gt=0, le=100, description="factor on the steps that a capture gets; few views cap them")
     strategy: Strategy = Field("two-stage", description="training strategy, one of the four of Table 3; `fine` uses the same")
     antialiased: bool = Field(
         True,
