@@ -68,7 +68,7 @@ KINDS: dict[str, MotionKind] = {
         "Gaussians, moved by control nodes",
         _nodes,
         pixels=5,
-        steps=40_000,
+        steps=32_000,
         first_steps=first_motion_steps,
         step_seconds=0.02,
         megapixel_seconds=0.12,  # of the full image, although most steps render only a window around the object

@@ -35,8 +35,8 @@ def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, 
 @pytest.mark.parametrize(
     ("views", "effort", "expected"),
     [
-        *((10, 1, 20_000), (50, 1, 20_000), (51, 1, 20_400), (100, 1, 40_000), (200, 1, 40_000)),  # as many as views can use
-        *((50, 0.15, 6000), (50, 0.5, 20_000), (50, 0.7, 20_000), (50, 3, 60_000), (100, 3, 120_000), (50, 0.01, LEAST_ITERATIONS)),
+        *((10, 1, 20_000), (50, 1, 20_000), (51, 1, 20_400), (79, 1, 31_600), (100, 1, 32_000)),  # as many as views can use
+        *((50, 0.2, 6400), (50, 0.5, 16_000), (50, 0.7, 20_000), (50, 3, 60_000), (100, 3, 96_000), (50, 0.01, LEAST_ITERATIONS)),
     ],
 )
 def test_steps_of_nodes_follow_the_views_that_they_learn_from(views, effort, expected):
