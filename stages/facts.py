@@ -32,7 +32,7 @@ class Facts:
     height: int = 0
     poses: bool = False  # the files contain poses
     points: bool = False  # the files contain points
-    alpha: bool = False  # pictures have an alpha channel
+    alpha: bool = False  # pictures have transparent pixels
     static: bool = False  # --static, or only one time
     pairs: int = 0  # frames for which the same camera also saw the next time
     fixed_cameras: bool = False  # no camera moves, according to the files

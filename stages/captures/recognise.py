@@ -11,6 +11,7 @@ from typing import Literal, get_args
 from ...pipeline import CaptureError
 from . import checks
 from .assembly.assemble import assemble
+from .assembly.transparent import judge_alpha
 from .capture import Capture
 from .formats import colmap, dnerf, images, llff, n3v, nerfies, nerfstudio, panoptic, video, videos
 from .formats.scans import polycam, record3d, rgbd, tum
@@ -66,7 +67,7 @@ def recognise(
     audio_cache: Path | None = None,
     usual: Usual | None = None,
 ) -> Capture:
-    """Reads a capture's names, JSON and image headers. Decodes no pixels, except for the first frame of a video.
+    """Reads a capture's names, JSON and image headers. Decodes only the first frame of a video and a few pictures with alpha.
 
     `format` forces a reader; `static` sets all times to 0; every `holdout`-th frame is test if the files carry no split
     (0: none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px limits the longer
@@ -91,6 +92,7 @@ def recognise(
             "rate with ffmpeg -r RATE -i FILE NEW"
         )
     base = root if root.is_dir() else root.parent
+    judge_alpha(base, reading)
     reading.notes += doubts(reading.shots, reading.sources)
     said, unfit = add_depth(base, reading.shots)
     reading.notes += said or reading.depth_notes

@@ -20,6 +20,10 @@ from ..facts import Facts
 from .odd_frames import told as told_odd
 
 DECODE_THREADS = 4  # at most
+_SOME = (  # only a sample is looked at before
+    "transparent pixels show the colours stored in them, because the pictures that were judged are opaque; paint over them, or mark them "
+    "black in masks"
+)
 LARGE = 40_000_000  # px; larger pictures are decoded one at a time, since one of this size takes half a gigabyte, the largest 2 GB
 
 
@@ -39,6 +43,8 @@ def check_pictures(capture: Capture, ctx: Context) -> None:
         width, height, _ = image_header(capture.root, name)
         with one_at_a_time if width * height > LARGE else nullcontext():
             found = read(capture.root, name, say=lambda what: told.append(("picture" if read is read_picture else "mask", what)))
+        if read is read_picture and not facts.alpha and found.shape[2] == 4 and found[..., 3].min() < 255:
+            told.append(("picture", _SOME))
         return name, told, small(found) if is_film and read is read_picture else None
 
     with ctx.progress(len(jobs), "check pictures") as progress, ThreadPoolExecutor(thread_count(DECODE_THREADS)) as pool:

@@ -99,6 +99,8 @@ class FrameSet:
         picture = pictures.resize(stored, self.width, self.height, None if self.crop is None else self.crop[i])
         if self.alpha and picture.shape[2] == 3:
             picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
+        elif not self.alpha and picture.shape[2] == 4:  # the capture's alpha is opaque
+            picture = np.ascontiguousarray(picture[..., :3])
         return picture
 
     def composited(self, i: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from e4dgs.stages.captures import checks, recognise
+from e4dgs.stages.captures.assembly import transparent
 from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.images.pictures import composite, read_picture
 from PIL import Image
@@ -83,3 +84,55 @@ def test_alpha_of_photos_without_poses_is_composited(tmp_path, background):
         assert np.abs(frames.composited(i) - expected).max() <= 0.51
         np.testing.assert_array_equal(composite(frames.original(i), background), frames.composited(i))
     np.testing.assert_array_equal(frames.composited(3), FLAT[..., :3])
+
+
+def opaque(picture):
+    return np.dstack([picture[..., :3], np.full(picture.shape[:2], 255, np.uint8)])
+
+
+def rgba_photos(root, count=12, palette=False):
+    root.mkdir()
+    for i in range(count):
+        image = Image.fromarray(opaque(np.roll(FLAT, i, 0)))
+        (image.quantize() if palette else image).save(root / f"{i:02d}.png", **({"transparency": b"\xff" * 9} if palette else {}))
+    return root
+
+
+@pytest.mark.parametrize("palette", [False, True])
+def test_an_alpha_channel_that_is_opaque_everywhere_is_none(tmp_path, palette):
+    """As Blender, Unreal and Kubric write it: without silhouettes, which seeds would be carved from."""
+    root = rgba_photos(tmp_path / "photos", palette=palette)
+    capture = recognise(root)
+    assert not capture.facts["alpha"] and capture.background is None
+    (told,) = [note for note in capture.notes if "alpha" in note]
+    assert told.startswith("12 pictures have an alpha channel that is opaque everywhere (judged by 8 of them")
+    frames = FrameSet(run_frames(root, tmp_path / "out").artifact, root)
+    assert frames.image(3).shape[2] == 3 and frames.image(3).flags.c_contiguous
+    if not palette:
+        np.testing.assert_array_equal(frames.image(3), np.roll(FLAT, 3, 0)[..., :3])
+
+
+@pytest.mark.parametrize("which", [0, 11])
+def test_one_transparent_pixel_makes_alpha_count(tmp_path, which):
+    root = rgba_photos(tmp_path / "photos")
+    picture = opaque(FLAT)
+    picture[0, 0, 3] = 254
+    Image.fromarray(picture).save(root / f"{which:02d}.png")
+    assert recognise(root).facts["alpha"]
+
+
+def test_as_few_pictures_as_are_needed_are_decoded_for_alpha(tmp_path, monkeypatch):
+    root, looked = rgba_photos(tmp_path / "photos", 20), []
+    monkeypatch.setattr(transparent, "_shows_through", lambda path: looked.append(path.name) or len(looked) == 2)
+    assert recognise(root).facts["alpha"] and looked == ["00.png", "03.png"]
+    looked[:] = [None, None]
+    recognise(root)
+    assert looked[2:] == [f"{i:02d}.png" for i in (0, 3, 5, 8, 11, 14, 16, 19)]
+
+
+def test_transparent_pixels_that_the_sample_missed_are_told(tmp_path):
+    root = rgba_photos(tmp_path / "photos")
+    Image.fromarray(FLAT).save(root / "01.png")
+    run = run_frames(root, tmp_path / "out")
+    assert any("transparent pixels show the colours stored in them" in line and "(1 picture)" in line for line in run.lines)
+    np.testing.assert_array_equal(FrameSet(run.artifact, root).image(1), FLAT[..., :3])

@@ -1,0 +1,45 @@
+"""Whether the alpha channel of a capture's pictures says anything: Blender, Unreal and others write one that is opaque everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ....vision.images.files import BadImageError, open_image
+from .. import checks
+from ..reading import Reading
+
+_JUDGED = 8  # pictures; one of 12 megapixels takes about as long to decode as the headers of thousands to read
+
+
+def judge_alpha(root: Path, reading: Reading) -> None:
+    """Clears `Reading.alpha` where no pixel of a sample of the pictures is transparent, and says so: those are RGB, without
+    silhouettes. Looks at pictures from the whole capture, and at no more once one has a transparent pixel."""
+    if not reading.alpha or reading.videos:
+        return
+    files = list(dict.fromkeys(str(shot.file) for shot in reading.shots))
+    files = [file for file in files if checks.image_header(root, file)[2]]
+    judged = _spread(files)
+    if files and not any(_shows_through(root / file) for file in judged):
+        reading.alpha = False
+        of = "" if len(judged) == len(files) else f" (judged by {len(judged)} of them, from first to last)"
+        told = f"{len(files)} pictures have an alpha channel" if len(files) > 1 else f"{files[0]} has an alpha channel"
+        reading.notes += (f"{told} that is opaque everywhere{of}, so it is not used",)
+
+
+def _spread(files: Sequence[str]) -> list[str]:
+    """At most `_JUDGED` of ``files``, evenly spaced, the first and the last among them."""
+    if len(files) <= _JUDGED:
+        return list(files)
+    return [files[round(i * (len(files) - 1) / (_JUDGED - 1))] for i in range(_JUDGED)]
+
+
+def _shows_through(path: Path) -> bool:
+    """Whether a picture has a pixel that is not opaque. A file that cannot be decoded has none; the stage `frames` refuses it."""
+    try:
+        with open_image(path) as image:
+            if "A" not in image.getbands():
+                image = image.convert("RGBA")
+            return any(image.getchannel("A").histogram()[:255])
+    except BadImageError:
+        return False
