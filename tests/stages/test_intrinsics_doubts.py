@@ -81,6 +81,35 @@ def test_contradictions_name_both(changed, case):
     assert all(word in str(caught.value) for word in ("transforms.json: frame 0", *words)), str(caught.value)
 
 
+SENSORS = {  # size of the picture, the sensor's side that spans a side of it (px), angles that are ignored
+    "wider than 3:2": ((40, 20), (36, 40), "camera_angle_y = {y:g} rad is"),
+    "square": ((40, 40), (36, 40), "camera_angle_y = {y:g} rad is"),
+    "upright": ((20, 40), (36, 40), "camera_angle_x = {x:g} rad and camera_angle_y = {y:g} rad are"),
+    "fitted to the height": ((40, 20), (24, 20), "camera_angle_x = {x:g} rad is"),
+    "3:2": ((42, 28), (36, 42), None),
+}
+
+
+@pytest.mark.parametrize("case", SENSORS)
+def test_angles_of_blenders_sensor_do_not_contradict_focal_lengths(changed, case):
+    """BlenderNeRF writes both for instant-ngp; a lens of 50 mm before a sensor of 36 mm by 24 mm."""
+    size, (side, pixels), ignored = SENSORS[case]
+    focal, x, y = 50 * pixels / side, 2 * math.atan(18 / 50), 2 * math.atan(12 / 50)
+    fields = {"w": size[0], "h": size[1], "cx": size[0] / 2, "cy": size[1] / 2, "camera_angle_x": x, "camera_angle_y": y}
+    root = changed(fl_x=focal, fl_y=focal, **fields)
+    for picture in (root / "images").iterdir():
+        Image.new("RGB", size).save(picture)
+    capture = recognise(root)
+    np.testing.assert_allclose(capture.K[0], [[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]])
+    told = [f"transforms.json: frame 0: fl_x and fl_y are used, and {ignored.format(x=x, y=y)} ignored"] if ignored else []
+    assert [note.partition(", because")[0] for note in capture.notes] == told
+    for wrong in ({"fl_x": 2 * focal, "fl_y": 2 * focal}, {"fl_x": 1.2 * focal, "fl_y": focal}):
+        data = json.loads((root / "transforms.json").read_text())
+        (root / "transforms.json").write_text(json.dumps(data | wrong))
+        with pytest.raises(CaptureError, match="contradict each other"):
+            recognise(root)
+
+
 def test_a_view_that_only_a_fisheye_has_is_refused(changed):
     with pytest.raises(CaptureError, match=r"images/000\.png: a focal length of 3 px .* 163 degrees"):
         recognise(changed(fl_x=3.0, fl_y=3.0))

@@ -45,9 +45,9 @@ def read(root: Path, options: Options) -> Reading:
     times = [found[i] for found, file in zip(per_file, listed, strict=True) if found is not None for i in there[file].paths]
     timed, times = bool(times), times or [0.0] * len(entries)
 
-    shots = []
+    shots, said = [], list[str]()
     for number, ((split, file, data, i, frame), path, time, size) in enumerate(zip(entries, paths, times, sizes, strict=True)):
-        lens = transforms.lens(frame, data, f"{file}: frame {i}", root, path, size)
+        lens = transforms.lens(frame, data, f"{file}: frame {i}", root, path, size, said)
         shots.append(
             Shot(
                 name=path,
@@ -66,7 +66,7 @@ def read(root: Path, options: Options) -> Reading:
         )
     fixed = timed and fixed_cameras(shots)
     moving = not fixed and _join_path(shots)
-    notes = [note for found in there.values() for note in found.notes] + list(lost_depth([entry[-1] for entry in entries], shots))
+    notes = [note for found in there.values() for note in found.notes] + said + list(lost_depth([entry[-1] for entry in entries], shots))
     if not timed and not options.static:
         notes.append(
             f"no frame of {' and '.join(file for _, file in files)} has a time, so all show one moment; add time if something moves"

@@ -46,10 +46,10 @@ def read(root: Path, options: Options) -> Reading:
     # Files of this kind are often unsorted, so frames are sorted by time, or by the natural order of their names.
     keys: dict[int, Any] = {i: checks.natural_key(p) if times is None else (times[i], checks.natural_key(p)) for i, p in paths.items()}
     order = sorted(paths, key=lambda i: keys[i])
-    shots = []
+    shots, said_of_lenses = [], list[str]()
     for rank, i in enumerate(order):
         where = f"{_FILE}: frame {i}"
-        lens = transforms.lens(frames[i], data, where, root, paths[i], sizes[i])
+        lens = transforms.lens(frames[i], data, where, root, paths[i], sizes[i], said_of_lenses)
         shots.append(
             Shot(
                 name=paths[i],
@@ -96,7 +96,7 @@ def read(root: Path, options: Options) -> Reading:
         sources=(_FILE, *([cloud] if cloud else []), *placed.others),
         points=points if len(points) else None,
         point_colors=colors if len(points) else None,
-        notes=(*found.notes, *said, *placed.notes, *masked, *missing),
+        notes=(*found.notes, *said, *said_of_lenses, *placed.notes, *masked, *missing),
     )
 
 

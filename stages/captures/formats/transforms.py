@@ -6,8 +6,7 @@ z forward). Intrinsics in these files assume pixel centres at +0.5 (COLMAP's con
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,13 @@ from ....pipeline import CaptureError
 from .. import checks
 from ..lens import LARGEST_TERM, Lens, distortion_of
 from ..posed.finding import Found, find_pictures
+from ..posed.focals import CONTRADICTION, focal_lengths, matrix_of
 from ..posed.sizes import scale_of
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _PERSPECTIVE = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 _FISHEYE = ("OPENCV_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE")
 _TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")  # the order of nerfstudio's `distortion_params`
-_MATRICES = ("K", "intrinsics", "intrinsic", "camera_intrinsics", "intrinsic_matrix")  # fields for a camera matrix
-_CONTRADICTION = 0.05  # largest relative difference of two values for one thing; angles are often given with two digits
 
 
 def pose(frame: Mapping[str, Any], where: str) -> np.ndarray:
@@ -34,12 +32,14 @@ def pose(frame: Mapping[str, Any], where: str) -> np.ndarray:
     return checks.inverse(world_from_cam @ OPENCV_FROM_OPENGL)
 
 
-def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, root: Path, picture: str, size: tuple[int, int]) -> Lens:
+def lens(
+    frame: Mapping[str, Any], top: Mapping[str, Any], where: str, root: Path, picture: str, size: tuple[int, int], said: list[str]
+) -> Lens:
     """The lens of one frame for its `picture` of `size`. Values of the frame take precedence over those at the top of the file.
 
     Focal lengths may be given in pixels (`fl_x`), as an angle (`camera_angle_x` in radians, `x_fov` and `fov` in degrees) or in a matrix
     (`K`, `intrinsics`); two that contradict each other are an error. If `w` and `h` differ from the size of the picture by a common
-    factor, K is scaled (pictures were resized after calibration).
+    factor, K is scaled (pictures were resized after calibration). said: gets a line for the first frame of which something is ignored.
     """
 
     def value(key: str, low: float = -1e12, high: float = 1e12, of: Mapping[str, Any] | None = None) -> float | None:
@@ -56,8 +56,8 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, root: Pat
     fisheye = name in _FISHEYE or bool(frame.get("is_fisheye", top.get("is_fisheye")))
     made_for = value("w", 1, 1e6) or float(size[0]), value("h", 1, 1e6) or float(size[1])
     sx, sy = scale_of(root, picture, size, made_for, f"{where}: w, h say")
-    matrix = _matrix(frame, top, where)
-    fx, fy = (_agreed(_focals(value, frame, top, axis, side, matrix), where, side) for axis, side in zip("xy", made_for, strict=True))
+    matrix = matrix_of(frame, top, where)
+    fx, fy = focal_lengths(value, frame, top, made_for, matrix, where, said)
     fx, fy = fx if fx is not None else fy, fy if fy is not None else fx
     if fx is None or fy is None:
         raise CaptureError(f"{where}: neither fl_x nor camera_angle_x; add the focal length in pixels as fl_x")
@@ -65,7 +65,7 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, root: Pat
     for key, extent, place in (("cx", made_for[0], (0, 2)), ("cy", made_for[1], (1, 2))):
         given = value(key)
         centre.append(given if given is not None else extent / 2 if matrix is None else float(matrix[place]))
-        if given is not None and matrix is not None and abs(given - matrix[place]) > _CONTRADICTION * extent:
+        if given is not None and matrix is not None and abs(given - matrix[place]) > CONTRADICTION * extent:
             raise CaptureError(f"{where}: {key} = {given:g}, but the camera matrix says {matrix[place]:g}; correct or remove one of them")
     cx, cy = centre
     width, height = made_for
@@ -127,57 +127,3 @@ def _with_terms(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, fi
         return frame
     counts = (4, 6) if fisheye else (6,)  # four of another lens may be in OpenCV's order as well
     return {**frame, **dict(zip(_TERMS, checks.numbers(raw, f"{where}: distortion_params", counts, LARGEST_TERM), strict=False))}
-
-
-def _matrix(frame: Mapping[str, Any], top: Mapping[str, Any], where: str) -> np.ndarray | None:
-    """[3,3] px of a frame or file that gives a camera matrix; None without one."""
-    for key in _MATRICES:
-        raw = frame.get(key, top.get(key))
-        if isinstance(raw, list):
-            matrix = checks.matrix(raw, f"{where}: {key}", ((3, 3), (3, 4), (4, 4)))[:3, :3]
-            checks.intrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], f"{where}: {key}", skew=matrix[0, 1])
-            return matrix
-    return None
-
-
-def _focals(
-    value: Callable[..., float | None],
-    frame: Mapping[str, Any],
-    top: Mapping[str, Any],
-    axis: str,
-    extent: float,
-    matrix: np.ndarray | None,
-) -> dict[str, float]:
-    """All focal lengths, px, for one axis, by the words for a message: those of the frame, or of the file if the frame has none."""
-    keys = (f"fl_{axis}", f"camera_angle_{axis}", f"{axis}_fov", *(("fov",) if axis == "x" else ()))
-    of = frame if any(frame.get(key) is not None for key in (*keys, *_MATRICES)) else top
-    matrix = matrix if any(isinstance(of.get(key), list) for key in _MATRICES) else None
-    found: dict[str, float] = {}
-    pixels = value(keys[0], of=of)
-    if pixels is not None:
-        found[f"fl_{axis} = {pixels:g} px"] = pixels
-    if matrix is not None:
-        entry = float(matrix[0, 0] if axis == "x" else matrix[1, 1])
-        found[f"the camera matrix ({entry:g} px)"] = entry
-    radians = value(keys[1], 1e-6, math.pi - 1e-6, of)
-    if radians is not None:
-        found[f"camera_angle_{axis} = {radians:g} rad"] = 0.5 * extent / math.tan(0.5 * radians)
-    for key in keys[2:]:
-        degrees = value(key, 1e-4, 180 - 1e-4, of)
-        if degrees is not None:
-            found[f"{key} = {degrees:g} degrees"] = 0.5 * extent / math.tan(0.5 * math.radians(degrees))
-    return found
-
-
-def _agreed(focals: dict[str, float], where: str, extent: float) -> float | None:
-    """The first of several focal lengths. Raises CaptureError if another contradicts it."""
-    if not focals:
-        return None
-    (words, first), *others = focals.items()
-    for other, focal in others:
-        if first > 0 and abs(focal / first - 1) > _CONTRADICTION:
-            raise CaptureError(
-                f"{where}: {words} and {other} (which is {focal:.4g} px for {extent:g} px) contradict each other; correct or remove one "
-                "of them, or give w and h of the calibrated pictures"
-            )
-    return first
