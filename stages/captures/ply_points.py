@@ -64,6 +64,15 @@ def read_points(root: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
         raise CaptureError(f"{name}: {error}") from error
 
 
+def count_of(root: Path, name: str) -> int:
+    """Number of points that the header of the PLY file `root/name` promises. Raises CaptureError."""
+    try:
+        with checks.resolve_inside(root, name, name).open("rb") as file:
+            return _header(file.read(_HEADER_LIMIT), name)[1]
+    except OSError as error:
+        raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
+
+
 def _check_finite(points: np.ndarray, name: str) -> None:
     bad = np.flatnonzero(~(np.abs(points) < 1e12).all(1))
     if len(bad):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.captures.formats.colmap_model import binary, places
+from e4dgs.stages.captures.formats.colmap_model import binary, cloud
 from factory import Options, make, write_colmap, write_nerfstudio
 from PIL import Image
 
@@ -266,10 +266,10 @@ def test_too_many_points_are_no_damage(root, monkeypatch, suffix):
         as_both(root)
         for file in (root / "sparse/0").glob("*.txt"):
             file.unlink()
-    for module in (places, binary):
+    for module in (cloud, binary):
         monkeypatch.setattr(module, "MOST_POINTS", count)
     assert len(recognise(root).points) == count
-    for module in (places, binary):
+    for module in (cloud, binary):
         monkeypatch.setattr(module, "MOST_POINTS", count - 1)
     with pytest.raises(
         CaptureError, match=rf"points3D\{suffix}: it has (more than )?\d+ points, and at most {count - 1} are read; thin"
@@ -278,3 +278,64 @@ def test_too_many_points_are_no_damage(root, monkeypatch, suffix):
     assert "cut short" not in str(e.value) and "export" not in str(e.value)
     (root / f"sparse/0/points3D{suffix}").unlink()  # as the message says
     assert recognise(root).points is None
+
+
+def ply(path, points, ending=""):
+    rows = "".join(f"{x} {y} {z} 10 20 30\n" for x, y, z in points)
+    names = "".join(f"property float {axis}\n" for axis in "xyz") + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
+    path.write_text(f"ply\nformat ascii 1.0\nelement vertex {len(points)}{ending}\n{names}end_header\n{rows}")
+    return path.relative_to(path.parents[2]).as_posix()
+
+
+def test_points_may_lie_in_a_ply_file_alone(root, written):
+    """As programs for Gaussian splatting keep them, which write it at their first run and read no other file then."""
+    (root / "sparse/0/points3D.txt").unlink()
+    file = ply(root / "sparse/0/points3D.ply", np.arange(1500).reshape(-1, 3) / 100)
+    capture = recognise(root)
+    assert_truth(capture, written)
+    assert file in capture.files and not capture.notes
+    np.testing.assert_allclose(capture.points, np.arange(1500).reshape(-1, 3) / 100)
+    assert (capture.point_colors == (10, 20, 30)).all()
+    ply(root / "sparse/0/points3D.ply", [], ending="x")
+    with pytest.raises(CaptureError, match=r"sparse/0/points3D\.ply: element vertex has no count"):
+        recognise(root)
+
+
+@pytest.mark.parametrize("more", [0, 300, -50])
+def test_a_ply_file_with_another_number_of_points_is_read_and_told(root, more):
+    own = recognise(root).points
+    assert len(own) > 100
+    file = ply(root / "sparse/0/points3D.ply", np.ones((len(own) + more, 3)))
+    capture = recognise(root)
+    assert file in capture.files and "sparse/0/points3D.txt" in capture.files
+    if more == 0:
+        np.testing.assert_array_equal(capture.points, own)
+        assert not capture.notes
+        return
+    assert (capture.points == 1).all() and len(capture.points) == len(own) + more
+    (note,) = capture.notes
+    assert (
+        note.startswith(f"the {len(own) + more} points of {file} are read, as") and f"not the {len(own)} of sparse/0/points3D.txt" in note
+    )
+
+
+def test_a_damaged_ply_file_leaves_the_points_of_the_model(root):
+    own = recognise(root).points
+    ply(root / "sparse/0/points3D.ply", np.ones((3, 3)), ending="0")
+    capture = recognise(root)
+    np.testing.assert_array_equal(capture.points, own)
+    (note,) = capture.notes
+    assert (
+        note.startswith("the points of sparse/0/points3D.txt are read, and not those of sparse/0/points3D.ply: ") and "30 vertices" in note
+    )
+
+
+def test_points_may_be_text_beside_a_binary_model(root, written):
+    own = recognise(root).points
+    as_both(root)
+    for name in ("points3D.bin", "images.txt", "cameras.txt"):
+        (root / "sparse/0" / name).unlink()
+    capture = recognise(root)
+    assert_truth(capture, written)
+    np.testing.assert_array_equal(capture.points, own)
+    assert "sparse/0/points3D.txt" in capture.files

@@ -11,8 +11,6 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from ....pipeline import CaptureError
 from .. import checks
 from ..keep_masks import add_masks
@@ -21,7 +19,7 @@ from ..posed.stated import states_layout
 from ..reading import Options, Reading, Shot
 from ..rigs import all_fixed, folders_of, place_untimed
 from . import n3v
-from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places, place_frames, told_twice
+from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places, place_frames, read_cloud, told_twice
 
 _OWN = ("sparse/0", "sparse")  # a model here makes a capture COLMAP's, whatever lies beside it
 _SMALLER = re.compile(r"images_\d+")  # copies of the pictures, as Mip-NeRF 360 and LLFF have them
@@ -44,8 +42,8 @@ def read(root: Path, options: Options) -> Reading:
     if model is None:
         raise CaptureError(f"{root}: no sparse/0 with cameras and images beside images/, which a COLMAP capture needs; pass its folder")
     where = model.place.folder or "the folder"
-    files = {part: model.place.file(part) for part in ("cameras", "images", "points3D", "frames")}
-    cameras, images, table = model.cameras, model.images, model.points
+    files = {part: model.place.file(part) for part in ("cameras", "images", "frames")}
+    cameras, images, cloud = model.cameras, model.images, read_cloud(model.place)
     if not images:
         raise CaptureError(f"{files['images']}: no registered image; run structure from motion again")
     names = {i: (image.name, f"{files['images']}: image {image.name!r}: name") for i, image in enumerate(images)}
@@ -65,6 +63,7 @@ def read(root: Path, options: Options) -> Reading:
         *notes,
         *([model.note] if model.note else []),
         *told_twice(model),
+        *cloud.notes,
         *found.notes,
         *placed.notes,
         *([unfollowed] if unfollowed else []),
@@ -78,9 +77,9 @@ def read(root: Path, options: Options) -> Reading:
         why=f"a COLMAP model in {where}, {'a static scene' if options.static else cameras_told}",
         shots=shots,
         alpha=alpha,
-        sources=(*there, *others, *placed.others),
-        points=table[:, :3].copy() if len(table) else None,
-        point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
+        sources=(*there, *cloud.files, *others, *placed.others),
+        points=cloud.points if len(cloud.points) else None,
+        point_colors=cloud.colors if len(cloud.points) else None,
         fixed_cameras=all_fixed(shots),
         untimed=not placed.several,
         notes=notes,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .cloud import read_cloud
 from .frames import place_frames
 from .lenses import lens_of
 from .places import Model, Place, choose, model_places
@@ -9,4 +10,15 @@ from .records import ImageRecord
 from .rig import model_of_cameras
 from .twice import told_twice
 
-__all__ = ["ImageRecord", "Model", "Place", "choose", "lens_of", "model_of_cameras", "model_places", "place_frames", "told_twice"]
+__all__ = [
+    "ImageRecord",
+    "Model",
+    "Place",
+    "choose",
+    "lens_of",
+    "model_of_cameras",
+    "model_places",
+    "place_frames",
+    "read_cloud",
+    "told_twice",
+]

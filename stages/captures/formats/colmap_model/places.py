@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import posixpath
 import struct
 from collections.abc import Iterator
@@ -11,13 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
 from .....pipeline import CaptureError
 from ... import checks
-from ...arrays import MOST_POINTS
 from . import binary, text
-from .records import CameraRecord, FrameRecord, ImageRecord, too_many_points
+from .records import CameraRecord, FrameRecord, ImageRecord
 
 _FIRST = ("sparse", "sparse_", "colmap", "colmap_sparse", "dense", "undistorted", "distorted")  # folders of models, in this order
 _DEPTH = 4
@@ -35,7 +31,14 @@ class Place:
     suffix: str
 
     def file(self, part: str) -> str:
-        return f"{self.folder}/{part}{self.suffix}" if self.folder else f"{part}{self.suffix}"
+        return self.named(f"{part}{self.suffix}")
+
+    def named(self, name: str) -> str:
+        return f"{self.folder}/{name}" if self.folder else name
+
+    def path(self, file: str) -> Path:
+        checks.resolve_inside(self.root, file, file)
+        return self.root / file
 
     def pictures(self) -> list[str]:
         """Folders whose pictures the model may be of, the likeliest first, each with "/" at its end; "" for the capture itself."""
@@ -89,18 +92,18 @@ class Model:
     @cached_property
     def cameras(self) -> dict[int, CameraRecord]:
         file = self.place.file("cameras")
-        with _about(file):
-            return dict(self._parser.cameras(self._path(file)))
+        with about(file):
+            return dict(self._parser.cameras(self.place.path(file)))
 
     @cached_property
     def images(self) -> list[ImageRecord]:
         """In the natural order of their names."""
         file = self.place.file("images")
-        with _about(file):
+        with about(file):
             try:
-                found = list(self._parser.images(self._path(file)))
+                found = list(self._parser.images(self.place.path(file)))
             except text.NotKeypoints as error:
-                found = self._bare(self._path(file), error)
+                found = self._bare(self.place.path(file), error)
                 self.note = (
                     f"{file} has no lines of keypoints below its images (one for each image, which may be empty): each of its "
                     f"{len(found)} lines is read as an image"
@@ -113,25 +116,8 @@ class Model:
         file = self.place.file("frames")
         if not (self.place.root / file).is_file():
             return []
-        with _about(file):
-            return sorted(self._parser.frames(self._path(file)), key=lambda frame: frame.number)
-
-    @cached_property
-    def points(self) -> np.ndarray:
-        """[P, 6] float64: x y z r g b."""
-        file = self.place.file("points3D")
-        if not (self.place.root / file).is_file():
-            return np.zeros((0, 6))
-        with _about(file):
-            rows = itertools.islice(self._parser.points(self._path(file)), MOST_POINTS + 1)
-            table = np.fromiter(rows, dtype=np.dtype((np.float64, 6)))
-            if len(table) > MOST_POINTS:
-                raise CaptureError(too_many_points(f"more than {MOST_POINTS}", MOST_POINTS))
-        good = (np.abs(table) < 1e12).all(1)
-        if not good.all():
-            row = int(good.argmin())
-            raise CaptureError(f"{file}: point {row}: {table[row, :3].tolist()} is not a valid position; remove it")
-        return table
+        with about(file):
+            return sorted(self._parser.frames(self.place.path(file)), key=lambda frame: frame.number)
 
     @cached_property
     def pictures(self) -> str:
@@ -179,10 +165,6 @@ class Model:
                 return found or []
         raise CaptureError(f"{error}; add an empty line below each image, or export the model again") from error
 
-    def _path(self, file: str) -> Path:
-        checks.resolve_inside(self.place.root, file, file)
-        return self.place.root / file
-
     @property
     def _parser(self):  # type: ignore[no-untyped-def]
         return binary if self.place.suffix == ".bin" else text
@@ -218,7 +200,7 @@ def choose(root: Path) -> tuple[Model | None, tuple[str, ...], tuple[str, ...]]:
 
 
 @contextmanager
-def _about(file: str) -> Iterator[None]:
+def about(file: str) -> Iterator[None]:
     """Turns any error inside the block into a CaptureError that names `file`."""
     try:
         yield
