@@ -210,3 +210,51 @@ def test_one_file_is_never_two_pictures_that_differ_in_capital_letters(root, wri
     (root / "images/004.png").rename(root / "images/A.png")
     edit(root, lambda data: [data["frames"][i].update(file_path=f"images/{name}.png") for i, name in ((4, "a"), (5, "A"))])
     assert_truth(recognise(root), written, left=(4,))
+
+
+def unrendered(dnerf_capture, tmp_path, name, head=""):
+    """A copy in which the pictures of transforms_NAME.json, whose last names are those of train/, do not exist."""
+    root = shutil.copytree(dnerf_capture.root, tmp_path / "capture")
+    shutil.rmtree(root / name)
+    edit(
+        root, lambda data: [f.update(file_path=f"{head}{name}/r_{i:03d}") for i, f in enumerate(data["frames"])], f"transforms_{name}.json"
+    )
+    return root
+
+
+@pytest.mark.parametrize("head", ["./", "/home/me/scene/"])
+@pytest.mark.parametrize(("name", "count"), [("val", 2), ("test", 4)])
+def test_a_held_out_file_without_pictures_is_left_out(dnerf_capture, tmp_path, name, count, head):
+    """BlenderNeRF writes the file and never renders its pictures."""
+    root = unrendered(dnerf_capture, tmp_path, name, head)
+    capture = recognise(root)
+    assert capture.facts["splits"] == {"train": 12, "val": 2, "test": 4} | {name: 0}
+    assert [image.split("/")[0] for image in capture.images].count("train") == 12 and f"transforms_{name}.json" in capture.files
+    told = f"none of the {count} pictures that transforms_{name}.json names is there (first '{head}{name}/r_000'), so this file is not used"
+    assert sum(note.startswith(told) for note in capture.notes) == 1 and not any("not read" in note for note in capture.notes)
+
+
+def test_without_any_held_out_picture_every_eighth_frame_is_held_out(dnerf_capture, tmp_path):
+    root = unrendered(dnerf_capture, tmp_path, "test")
+    shutil.rmtree(root / "val")
+    assert recognise(root).facts["splits"] == {"train": 10, "val": 0, "test": 2}
+
+
+def test_a_split_whose_pictures_train_is_not_left_out(dnerf_capture, tmp_path):
+    """Neither takes train/ the pictures of test/, nor goes it without its own; and half of a file is not none of it."""
+    root = unrendered(dnerf_capture, tmp_path, "train")
+    with pytest.raises(CaptureError, match=r"transforms_train\.json: frame 0: file_path: no image 'train/r_000'.*12 of 12 frames"):
+        recognise(root)
+    shutil.rmtree(root)
+    root = shutil.copytree(dnerf_capture.root, root)
+    for i in range(3):
+        (root / f"test/r_{i:03d}.png").unlink()
+    with pytest.raises(CaptureError, match="3 of 4 frames"):
+        recognise(root)
+
+
+def test_two_held_out_files_may_name_the_same_pictures_by_absolute_paths(dnerf_capture, tmp_path):
+    root = shutil.copytree(dnerf_capture.root, tmp_path / "capture")
+    edit(root, lambda data: [f.update(file_path=f"/home/me/{f['file_path'][2:]}") for f in data["frames"]], "transforms_test.json")
+    (root / "transforms_val.json").write_text((root / "transforms_test.json").read_text())
+    assert recognise(root).facts["splits"] == {"train": 12, "val": 4, "test": 4}

@@ -18,13 +18,14 @@ from . import transforms
 from .cameras_of_times import fixed_cameras
 from .frame_files import cloud_of, depth_of, lost_depth, mask_of
 
+_TRAIN = "transforms_train.json"
 # Median step between train cameras consecutive in time, divided by the median distance of any two: 0.03 for a walked path of 90
 # frames, 1.0 to 1.2 for the scattered views of D-NeRF. A straight walk of n frames has 3.4 / n, so a path needs about 14 frames.
 _SMOOTH = 0.25
 
 
 def detect(root: Path) -> str | None:
-    return "transforms_train.json" if (root / "transforms_train.json").is_file() else None
+    return _TRAIN if (root / _TRAIN).is_file() else None
 
 
 def read(root: Path, options: Options) -> Reading:
@@ -33,7 +34,11 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{root}: no transforms_train.json, which the D-NeRF layout needs; pass its folder or another --format")
     loaded = [(split, file, checks.read_json(root, file)) for split, file in files]
     listed = {file: transforms.frames_of(data, file) for _, file, data in loaded}
-    there = {file: transforms.present(root, frames, file) for file, frames in listed.items()}
+    there = transforms.present_of_splits(root, _TRAIN, listed)
+    seen = [file for _, file in files]  # on which the result depends
+    files = [(split, file) for split, file in files if there[file].paths]
+    loaded = [one for one in loaded if there[one[1]].paths]
+    listed = {file: listed[file] for _, file in files}
     entries = [(split, file, data, i, listed[file][i]) for split, file, data in loaded for i in there[file].paths]
     paths = [there[file].paths[i] for _, file, _, i, _ in entries]
     sizes, alpha = checks.image_headers(root, paths)
@@ -83,7 +88,7 @@ def read(root: Path, options: Options) -> Reading:
         has_split=len(files) > 1,
         fps=None if raw_fps is None else checks.number(raw_fps, f"{files[0][1]}: fps", 1e-3, 1e6),
         fixed_cameras=fixed,
-        sources=(*(file for _, file in files), *([cloud] if cloud else [])),
+        sources=(*seen, *([cloud] if cloud else [])),
         points=points if len(points) else None,
         point_colors=colors if len(points) else None,
         notes=(*notes, *missing),

@@ -15,7 +15,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..lens import LARGEST_TERM, Lens, distortion_of
-from ..posed.finding import Found, find_pictures
+from ..posed.finding import Found, find_pictures, find_pictures_of_splits
 from ..posed.focals import CONTRADICTION, focal_lengths, matrix_of
 from ..posed.sizes import scale_of
 
@@ -101,11 +101,17 @@ def frames_of(data: Mapping[str, Any], file: str) -> list[dict[str, Any]]:
 def present(root: Path, frames: list[dict[str, Any]], file: str) -> Found:
     """The picture of each frame that has one, by index of the frame, and notes: instant-ngp's own captures list frames whose images were
     removed because of blur. Raises CaptureError if more than half are missing."""
-    names = {}
-    for i, frame in enumerate(frames):
-        where = f"{file}: frame {i}: file_path"
-        names[i] = checks.text(frame.get("file_path"), where), where
-    return find_pictures(root, names, file)
+    return find_pictures(root, _names(frames, file), file)
+
+
+def present_of_splits(root: Path, train: str, frames: Mapping[str, list[dict[str, Any]]]) -> dict[str, Found]:
+    """As `present`, for the frames of several files by their names: see `find_pictures_of_splits`."""
+    return find_pictures_of_splits(root, train, {file: _names(own, file) for file, own in frames.items()})
+
+
+def _names(frames: list[dict[str, Any]], file: str) -> dict[int, tuple[str, str]]:
+    places = [f"{file}: frame {i}: file_path" for i in range(len(frames))]
+    return {i: (checks.text(frame.get("file_path"), places[i]), places[i]) for i, frame in enumerate(frames)}
 
 
 def times_of(frames: list[dict[str, Any]], file: str) -> list[float] | None:

@@ -46,11 +46,36 @@ def find_pictures(root: Path, names: Mapping[int, tuple[str, str]], file: str, w
     return search.result(file, what)
 
 
+def find_pictures_of_splits(root: Path, train: str, names: Mapping[str, Mapping[int, tuple[str, str]]]) -> dict[str, Found]:
+    """As `find_pictures`, for several files by their names, of which all but ``train`` name pictures that are held out.
+
+    A picture of one file is not taken for another's of the same last name. A file of held-out pictures of which none exists, as some
+    programs write before anybody renders them, has no paths and a note."""
+    searches = {file: _Search(root, dict(own), held_out=file != train) for file, own in names.items()}
+
+    def share() -> None:
+        for search in searches.values():
+            search.others = {path for other in searches.values() if other is not search for path in other.found.values()}
+
+    for search in searches.values():
+        search.as_named()
+    share()
+    for search in searches.values():
+        search.by_ends_of_absolute_paths()
+        search.in_another_spelling()
+    for search in searches.values():
+        share()
+        search.by_name_alone()
+    return {file: search.result(file, "frames") for file, search in searches.items()}
+
+
 @dataclass
 class _Search:
     root: Path
     names: dict[int, tuple[str, str]]
-    beside: str
+    beside: str = ""
+    held_out: bool = False
+    others: set[str] = field(default_factory=set)  # pictures that are not to be taken by their last names
     found: dict[int, str] = field(default_factory=dict)
     gone: list[int] = field(default_factory=list)
     far: dict[int, CaptureError] = field(default_factory=dict)  # absolute paths outside the capture
@@ -88,7 +113,7 @@ class _Search:
                 end = "/".join(parts[cut:])
                 path = checks.seek_image(self.root, end, where) if not is_absolute(end) else None
                 path = path or (self.folder.in_another_form(end) if not end.isascii() else None)
-                if path is not None:
+                if path is not None and not ("/" not in end and path in self.others):
                     self.found[i] = path
                     self.ends.append(i)
                     self.heads.add("/".join(parts[:cut]))
@@ -97,7 +122,12 @@ class _Search:
         for i, error in list(self.far.items()):
             name = posixpath.normpath(self.names[i][0].replace("\\", "/"))
             # It may be of the same place as the others and deleted since, or lie in another folder here.
-            if not any(name.startswith(head + "/") for head in self.heads) and self.folder.nearest(self.names[i][0]) is None:
+            left_out = self.held_out and is_absolute(name)
+            if (
+                not left_out
+                and not any(name.startswith(head + "/") for head in self.heads)
+                and self.folder.nearest(self.names[i][0]) is None
+            ):
                 raise CaptureError(f"{error}; no picture of the capture, or more than one, has the end of this path") from error
             self.gone.append(i)
 
@@ -125,7 +155,7 @@ class _Search:
         if not self.gone:
             return
         stems = {stem_of(path) for path in self.found.values()}
-        taken = set(self.found.values())
+        taken = {*self.found.values(), *self.others}
         chosen = {}
         for i in self.gone:
             place = self.folder.nearest(self.names[i][0], taken)
@@ -142,6 +172,9 @@ class _Search:
         total, notes = len(self.names), []
         if self.gone:
             raw, where = self.names[self.gone[0]]
+            if self.held_out and len(self.gone) == total:
+                missing = f"none of the {total} pictures that {file} names is there (first {raw[:200]!r})"
+                return Found({}, (f"{missing}, so this file is not used; add its pictures to hold them out",), tuple(self.gone))
             first = f"{where}: no image {(self.beside + raw if not is_absolute(raw) else raw)[:200]!r}"
             places = self.folder.named(raw)[:3]
             if places:
