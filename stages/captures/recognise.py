@@ -92,7 +92,7 @@ def recognise(
             "rate with ffmpeg -r RATE -i FILE NEW"
         )
     base = root if root.is_dir() else root.parent
-    judge_alpha(base, reading)
+    judge_alpha(base, reading, kind, background)
     reading.notes += doubts(reading.shots, reading.sources)
     said, unfit = add_depth(base, reading.shots)
     reading.notes += said or reading.depth_notes

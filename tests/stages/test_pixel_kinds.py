@@ -1,5 +1,7 @@
 """Pictures of every kind of pixels come out with right values; alpha in captures without poses is composited."""
 
+import shutil
+
 import numpy as np
 import pytest
 from e4dgs.stages.captures import checks, recognise
@@ -136,3 +138,20 @@ def test_transparent_pixels_that_the_sample_missed_are_told(tmp_path):
     run = run_frames(root, tmp_path / "out")
     assert any("transparent pixels show the colours stored in them" in line and "(1 picture)" in line for line in run.lines)
     np.testing.assert_array_equal(FrameSet(run.artifact, root).image(1), FLAT[..., :3])
+
+
+@pytest.mark.parametrize("background", [None, "black"])
+@pytest.mark.parametrize("layout", ["images", "colmap", "nerfstudio", "dnerf"])
+def test_what_transparent_pixels_are_taken_for_is_told(request, tmp_path, layout, background):
+    """Photos often have alpha where something is to be ignored; in D-NeRF's layout it is a silhouette by custom."""
+    root = shutil.copytree(request.getfixturevalue(f"{layout}_capture").root, tmp_path / "capture")
+    if layout != "dnerf":
+        for file in root.rglob("*.png"):
+            picture = np.array(Image.open(file).convert("RGBA"))
+            picture[:3, :3, 3] = 0
+            Image.fromarray(picture).save(file)
+    capture = recognise(root, background=background)
+    told = [note for note in capture.notes if "transparent pixels" in note]
+    assert capture.facts["alpha"] and len(told) == (layout != "dnerf")
+    for note in told:
+        assert f"are taken for empty space, shown on {background or 'white'}" in note and "masks/ beside images/" in note

@@ -14,7 +14,7 @@ from .sidecars import posed_sidecars
 from .tree import MOST_DEEP, MOST_FILES, tree
 
 _MASKS = "masks"
-_MASK_PLACES = "masks/ beside images/ (give the folder that holds both), masks/ in a flat folder of photos, mask_path of transforms.json"
+MASK_PLACES = "masks/ beside images/ (give the folder that holds both), masks/ in a flat folder of photos, mask_path of transforms.json"
 _SCALED = re.compile(r"(.*?)_?(\d+x?)?")  # images_4 and images, or 2x and 4x in rgb/
 _GROUPS = ("pose", "picture", "video", "other")  # the order of the lines
 _NAMED = {  # kinds of which those that belong to a picture by name are read
@@ -33,7 +33,7 @@ def unread(root: Path, layout: str, read: Iterable[str], spoken_for: Sequence[st
     read = set(read)
     lines = []
     if (root / _MASKS).is_dir() and not _within(_MASKS, spoken_for) and not any(_within(path, [_MASKS]) for path in read):
-        lines.append(f"the folder {_MASKS}/ is ignored, because the layout is {layout}; masks are read from {_MASK_PLACES}")
+        lines.append(f"the folder {_MASKS}/ is ignored, because the layout is {layout}; masks are read from {MASK_PLACES}")
         spoken_for = (*spoken_for, _MASKS)
     groups, models = _groups(root, found.files, read, spoken_for, thinned)
     for kind in sorted(groups, key=lambda kind: (_GROUPS.index(kind.group), kind.many)):
@@ -130,7 +130,7 @@ def above(root: Path, layout: str) -> tuple[str, ...]:
             verb = "is" if len(poses) == 1 else "are"
             lines.append(f"{_joined(poses)} beside the folder {root.name}/ {verb} not read; give the folder that holds both")
     if _MASKS in names and (root.parent / _MASKS).is_dir() and not (root / _MASKS).is_dir():
-        lines.append(f"the folder {_MASKS}/ is ignored, because the layout is {layout}; masks are read from {_MASK_PLACES}")
+        lines.append(f"the folder {_MASKS}/ is ignored, because the layout is {layout}; masks are read from {MASK_PLACES}")
     return tuple(lines)
 
 
