@@ -1,5 +1,5 @@
 """Masks of pixels that count, in `masks/` next to `images/` or inside a flat folder of photos. Black pixels are left out of features,
-training and metrics. Masks are named as in COLMAP."""
+training and metrics. Masks are named as in COLMAP, or lie beside their pictures as other programs have them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from . import checks
+from .listing.names import is_image
 from .reading import Shot
 
 FOLDER = "masks"
@@ -15,16 +16,44 @@ FOLDER = "masks"
 
 def add_masks(root: Path, shots: Sequence[Shot], beside: str = "images/") -> tuple[str, ...]:
     """Assigns to each shot with file `images/NAME` its mask in `masks/`: NAME.png, as in COLMAP (`a.jpg.png`), or NAME with any image
-    suffix. beside: the prefix of NAME, empty for photos in `root` itself. Returns a note for people if the folder exists."""
-    if not (root / FOLDER).is_dir():
-        return ()
+    suffix; else one that lies beside it, as RealityScan (`a.jpg.mask.png`, `a.mask.png`) and 3DGRUT (`a_mask.png`) have them, whose names
+    count in `masks/` as well. beside: the prefix of NAME, empty for photos in `root` itself. Returns a note for people if there are masks
+    or the folder exists."""
+    there = (root / FOLDER).is_dir()
+    pictures, listed = {shot.file for shot in shots}, dict[str, dict[str, str]]()
+    own = 0
     for shot in shots:
-        if shot.file is not None and shot.file.startswith(beside):
+        if shot.file is None:
+            continue
+        if there and shot.file.startswith(beside):
             name = f"{FOLDER}/{shot.file.removeprefix(beside)}"
             found = f"{name}.png" if (root / f"{name}.png").is_file() else name if (root / name).is_file() else None
-            shot.keep = found or checks.seek_image(root, posixpath.splitext(name)[0], name)
+            shot.keep = found or checks.seek_image(root, posixpath.splitext(name)[0], name) or _named(root, name, listed)
+        if shot.keep is None and (found := _named(root, shot.file, listed)) not in pictures:
+            shot.keep = found
+            own += found is not None
+    if not there and not own:
+        return ()
     none = f"{FOLDER}/ has no mask of any image; expected {FOLDER}/NAME.png for {beside}NAME"
-    return (told(shots, f"in {FOLDER}/") or none,)
+    note = told(shots, f"in {FOLDER}/{' or beside them' if own else ''}" if there else "beside them")
+    return (note or none,)
+
+
+def _named(root: Path, path: str, listed: dict[str, dict[str, str]]) -> str | None:
+    """The mask in the folder of a picture's ``path`` whose name is made of the picture's. listed: the masks of folders, by their names
+    without a suffix, so that each is listed once."""
+    folder, name = posixpath.split(path)
+    if folder not in listed:
+        names = checks.list_files(root / folder) if (root / folder).is_dir() else []
+        listed[folder] = {
+            posixpath.splitext(n)[0].lower(): n for n in names if is_image(n) and posixpath.splitext(n)[0].lower().endswith("mask")
+        }
+    stem = posixpath.splitext(name)[0]
+    found = next(
+        (listed[folder][key] for key in (f"{name}.mask".lower(), f"{stem}.mask".lower(), f"{stem}_mask".lower()) if key in listed[folder]),
+        None,
+    )
+    return None if found is None else posixpath.join(folder, found)
 
 
 def turn_masks(root: Path, shots: Sequence[Shot]) -> None:

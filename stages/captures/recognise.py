@@ -107,7 +107,7 @@ def _not_read(root: Path, capture: Capture, reading: Reading) -> tuple[str, ...]
     around = above(root, kind)
     if root.is_file():
         return around
-    masks = (FOLDER,) if any(f"{FOLDER}/" in note for note in reading.notes) else ()
+    masks = (FOLDER,) if any(f"in {FOLDER}/" in note or note.startswith(f"{FOLDER}/") for note in reading.notes) else ()
     thinned = bool(options.every or options.max_frames) or any("without a pose" in note for note in reading.notes)
     return (*around, *unread(root, kind, capture.files, (*reading.spoken_for, *masks), thinned))
 

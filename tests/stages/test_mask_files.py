@@ -121,3 +121,60 @@ def test_masks_that_no_one_looks_at_are_spoken_of(dnerf_capture, n3v_capture, vi
     (tmp_path / "room/masks").mkdir()
     assert any("masks/ is ignored" in note and "folder that holds both" in note for note in recognise(tmp_path / "room/images").notes)
     assert not any("is ignored" in note for note in recognise(tmp_path / "room").notes)
+
+
+BESIDE = ("{}_mask.png", "{}.png.mask.png", "{}.mask.png", "{}_MASK.PNG")  # of 3DGRUT and NCore, RealityScan, and as Windows writes it
+
+
+def with_masks(source, folder, at, pattern):
+    """A copy of a capture in which all pictures but the last have masks; its flat folder of photos, if it has no poses."""
+    root = shutil.copytree(source, folder)
+    photos = root / "images" if (root / "images").is_dir() else root
+    (root / "masks").mkdir(exist_ok=True) if at == "masks" else None
+    for photo in sorted(photos.glob("*.png"))[:-1]:
+        Image.new("L", Image.open(photo).size, 255).save((root / "masks" if at == "masks" else photos) / pattern.format(photo.stem))
+    return root
+
+
+@pytest.mark.parametrize("at", ["beside", "masks"])
+@pytest.mark.parametrize("pattern", BESIDE)
+@pytest.mark.parametrize("layout", ["colmap", "nerfstudio", "images"])
+def test_masks_may_lie_beside_their_pictures(request, tmp_path, layout, pattern, at):
+    source = request.getfixturevalue(f"{layout}_capture").root
+    plain, root = recognise(source), with_masks(source, tmp_path / "capture", at, pattern)
+    capture = recognise(root)
+    assert capture.images == plain.images and capture.keeps[-1] is None and len(set(capture.keeps)) == len(plain.images)
+    assert all(keep in capture.files for keep in capture.keeps[:-1])
+    (note,) = [note for note in capture.notes if note not in plain.notes]
+    where = "in masks/" if at == "masks" else "beside them"
+    assert note.startswith(f"{len(plain.images) - 1} of {len(plain.images)} images have a mask {where}; its black")
+
+
+def test_a_photo_is_no_mask_of_another(colmap_capture, tmp_path):
+    """Because it has a pose of its own."""
+    root = shutil.copytree(colmap_capture.root, tmp_path / "capture")
+    images = root / "sparse/0/images.txt"
+    images.write_text(images.read_text().replace("001.png", "000_mask.png"))
+    (root / "images/001.png").rename(root / "images/000_mask.png")
+    assert recognise(root).keeps is None
+
+
+@pytest.mark.parametrize("layout", ["colmap", "nerfstudio", "images"])
+def test_masks_whose_white_is_ignored_are_named_and_not_read(request, tmp_path, layout):
+    """instant-ngp's mean the opposite of all others."""
+    source = request.getfixturevalue(f"{layout}_capture").root
+    plain, root = recognise(source), with_masks(source, tmp_path / "capture", "beside", "dynamic_mask_{}.png")
+    if layout == "colmap":  # the line on pictures that were left out on purpose does not silence it
+        Image.open(root / "images/000.png").save(root / "images/extra.png")
+    capture = recognise(root)
+    assert capture.images == plain.images and capture.keeps is None
+    told = [note for note in capture.notes if note not in plain.notes]
+    assert told[-1].startswith(f"{len(plain.images) - 1} masks of instant-ngp (first ") and "invert them" in told[-1]
+    assert told[:-1] == (["1 images without a pose in sparse/0 are left out"] if layout == "colmap" else [])
+
+
+def test_masks_beside_pictures_of_a_layout_without_them_are_named(dnerf_capture, tmp_path):
+    root = shutil.copytree(dnerf_capture.root, tmp_path / "capture")
+    Image.new("L", (64, 64), 255).save(root / "train/r_000_mask.png")
+    (note,) = [note for note in recognise(root).notes if "mask" in note]
+    assert note.startswith("the mask train/r_000_mask.png is not read, because the layout is dnerf; masks are read from ")

@@ -7,8 +7,8 @@ import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.listing import tree as walking
-from e4dgs.stages.captures.listing.kinds import PICTURE, POSE, VIDEO, colour_only, kind_of
-from e4dgs.stages.captures.listing.unread import unread
+from e4dgs.stages.captures.listing.kinds import DYNAMIC, PICTURE, POSE, VIDEO, colour_only, kind_of
+from e4dgs.stages.captures.listing.unread import MASK_PLACES, unread
 from PIL import Image
 from tiny_videos import encode, levels
 
@@ -250,7 +250,6 @@ def test_a_folder_images_whose_poses_lie_beside_it(colmap_capture, tmp_path):
         ("r_{}.png", "r_{}_normal.png", "normal maps"),
         ("frame{:06d}.jpg", "depth{:06d}.png", "depth maps"),  # Replica
         ("frame_{:05d}.png", "mask_{:05d}.png", "masks"),
-        ("{:03d}.jpg", "{:03d}_mask.png", "masks"),
         ("images/{:03d}.png", "depth/{:03d}.png", "depth maps"),
         ("images/{:03d}.png", "normals/{:03d}.png", "normal maps"),
         ("images/{:03d}.png", "confidence/{:03d}.png", "confidence maps"),
@@ -266,7 +265,7 @@ def test_depth_among_colours(tmp_path, colour, other, what):
     elif "depth" in other or "confidence" in other:
         assert "read by the name of its picture: that of " in note
     else:
-        assert note.endswith(", because the layout is images")
+        assert note.endswith(f", because the layout is images{f'; masks are read from {MASK_PLACES}' if what == 'masks' else ''}")
 
 
 def test_grey_of_16_bits_with_the_name_of_a_picture_is_its_depth(tmp_path):
@@ -403,6 +402,9 @@ def test_kinds_of_names():
     assert kind_of("cam/README.md") is kind_of("config.json") is kind_of("script.py") is None
     assert colour_only(["depth_1.png", "depth_2.png"]) == ["depth_1.png", "depth_2.png"], "without colours they are the pictures"
     assert colour_only(["1.png", "depth_1.png", "depth_2.png"]) == ["1.png", "depth_2.png"]
+    masks = ["a.jpg.mask.png", "a.mask.png", "a_mask.png", "dynamic_mask_a.png"]
+    assert colour_only(["a.jpg", *masks, "b.jpg.mask.png"]) == ["a.jpg", "b.jpg.mask.png"]
+    assert [kind_of(name) is DYNAMIC for name in masks] == [False, False, False, True]
 
 
 COPIES = ("IMG_0 (1).JPG", "IMG_0(2).jpg", "IMG_1 copy.JPG", "IMG_1 - Copy (3).JPG", "Copy of IMG_2.JPG", "IMG_2_copy.JPG")

@@ -14,6 +14,8 @@ from pathlib import Path
 from ....pipeline import CaptureError
 from .. import checks
 from ..keep_masks import add_masks
+from ..listing.kinds import colour_only
+from ..listing.names import is_image
 from ..posed.finding import find_pictures
 from ..posed.stated import states_layout
 from ..reading import Options, Reading, Shot
@@ -100,8 +102,10 @@ def _shot(root: Path, image: ImageRecord, path: str, size: tuple[int, int], came
 def _told(root: Path, model: Model, paths: Sequence[str], where: str) -> tuple[str, ...]:
     """A note on pictures that the model has no pose for."""
     base = model.pictures.rstrip("/")
-    listed = {f"{place}/{name}".lstrip("/") for place in {base, *folders_of(paths)} for name in checks.list_folder(root / place)}
-    unposed = [n for n in listed - set(paths) if n.lower().endswith(checks.IMAGE_SUFFIXES)]
+    listed = set[str]()
+    for place in {base, *folders_of(paths)}:  # masks and depth beside their pictures are named elsewhere
+        listed |= {f"{place}/{name}".lstrip("/") for name in colour_only(list(filter(is_image, checks.list_folder(root / place))))}
+    unposed = listed - set(paths)
     return (f"{len(unposed)} images without a pose in {where} are left out",) if unposed else ()
 
 

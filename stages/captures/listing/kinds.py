@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 
-from .names import is_image, is_video
+from .names import IMAGE_SUFFIXES, is_image, is_video
 
 _JPEG = "convert them to JPEG, for example with magick mogrify -format jpg"
 _LIGHT = (
@@ -139,6 +139,8 @@ LOW = FileKind(
     "pass the video in full resolution, or rename them to end in .mp4",
 )
 BAND = FileKind("picture of one band of light", "pictures of one band of light", "picture")  # of multispectral cameras
+_DYNAMIC = "dynamic_mask_"
+DYNAMIC = FileKind("mask of instant-ngp", "masks of instant-ngp", "picture")  # dynamic_mask_a.png: white is ignored
 COPY = FileKind("picture in another size", "pictures in another size", "picture")
 _OTHERS = (
     ("point cloud", "point clouds", lambda name: name.endswith(_CLOUDS)),
@@ -162,6 +164,8 @@ def kind_of(path: str) -> FileKind | None:
     folders, name = posixpath.split(path.lower())
     suffix = posixpath.splitext(name)[1]
     if suffix in _CLOSED or is_image(name) or suffix in _ARRAYS:
+        if name.startswith(_DYNAMIC):
+            return DYNAMIC
         role = role_of(name) or next((r for part in folders.split("/") if (r := _role_of_word(part))), None)
         if role is not None:
             return FileKind(f"{role} map", f"{role} maps", "picture") if role != "mask" else FileKind("mask", "masks", "picture")
@@ -222,5 +226,7 @@ def colour_only(names: list[str]) -> list[str]:
 
 def _subject(name: str) -> tuple[str, ...]:
     """The words and numbers of a name that do not say what is shown of it."""
-    parts = re.findall(r"[a-z]+|\d+", posixpath.splitext(name.lower())[0])
+    bare = posixpath.splitext(name.lower())[0].removeprefix(_DYNAMIC)
+    bare = re.sub(r"\.(mask|" + "|".join(suffix[1:] for suffix in IMAGE_SUFFIXES) + r")(?![^.])", "", bare)  # a.jpg.mask.png of a.jpg
+    parts = re.findall(r"[a-z]+|\d+", bare)
     return tuple(part for part in parts if part not in _COLOUR and part not in ("map", "maps") and not _role_of_word(part))

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ....pipeline import CaptureError
-from .kinds import BAND, COPY, LOW, MODEL, OTHER_POSE, PICTURE, POSE, THUMBNAIL, VIDEO, FileKind, clip_of, kind_of
+from .kinds import BAND, COPY, DYNAMIC, LOW, MODEL, OTHER_POSE, PICTURE, POSE, THUMBNAIL, VIDEO, FileKind, clip_of, kind_of
 from .names import is_image, natural_key
 from .sidecars import posed_sidecars
 from .tree import MOST_DEEP, MOST_FILES, tree
 
-_MASKS = "masks"
+_MASK, _MASKS = "mask", "masks"
 MASK_PLACES = "masks/ beside images/ (give the folder that holds both), masks/ in a flat folder of photos, mask_path of transforms.json"
 _SCALED = re.compile(r"(.*?)_?(\d+x?)?")  # images_4 and images, or 2x and 4x in rgb/
 _GROUPS = ("pose", "picture", "video", "other")  # the order of the lines
@@ -64,7 +64,7 @@ def _groups(
         if ((folder in models or folder in told) and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
             continue
         kind = OTHER_POSE if path in sidecars else kind_of(path)
-        if kind is None or (thinned and kind.group == "picture" and kind is not BAND and not kind.advice and folder in beside):
+        if kind is None or (thinned and kind.group == "picture" and kind not in (BAND, DYNAMIC) and not kind.advice and folder in beside):
             continue
         groups.setdefault(COPY if kind is PICTURE and folder not in folders and _copies(folder, folders) else kind, []).append(path)
     return groups, models
@@ -148,6 +148,13 @@ def _line(kind: FileKind, paths: list[str], layout: str, read: set[str], models:
         return text
     if kind is BAND:
         return f"{text}, because colours are learned from the colour pictures of the same views"
+    if kind is DYNAMIC:
+        return (
+            f"{text}, because white in them marks what is ignored, as black does here; to use them, invert them and name each like its "
+            f"picture. Masks are read from {MASK_PLACES}"
+        )
+    if kind.one == _MASK:
+        return f"{text}, because the layout is {layout}; masks are read from {MASK_PLACES}"
     if kind is LOW and {clip_of(path) for path in paths} <= {clip_of(path) for path in read if kind_of(path) is VIDEO}:
         return f"{text}; {'the video itself is' if len(paths) == 1 else 'the videos themselves are'}"
     if kind.advice and not (kind is OTHER_POSE and layout in (*_POSED_PICTURES, "n3v")):  # which have poses already
