@@ -62,6 +62,18 @@ def test_without_times_there_is_a_file_for_each_of_the_capture(finished, tmp_pat
     assert 1 < len(list(tmp_path.glob("*.ply"))) <= 60
 
 
+@pytest.mark.parametrize("words", [["ply"], ["usd"], ["mesh", "--convexes"]])
+def test_a_clip_that_is_thinned_is_said(finished, tmp_path, capsys, monkeypatch, words):
+    if words == ["usd"]:
+        pytest.importorskip("pxr")
+    monkeypatch.setattr("e4dgs.workflows.exports.trained.MOST_TIMES", 3)
+    assert main(["export", words[0], *finished[1:], *words[1:], "--out", str(tmp_path)]) == 0
+    found = re.search(r"note: 3 of (\d+) times; --times (\d+) for all;", " ".join(capsys.readouterr().out.split()))
+    assert found and int(found[1]) == int(found[2]) > 3
+    assert main(["export", words[0], *finished[1:], *words[1:], "--times", "3", "--out", str(tmp_path)]) == 0
+    assert "for all" not in capsys.readouterr().out, "who asks for 3 knows"
+
+
 @pytest.mark.parametrize("name", ["frame0009.compressed.ply", "frame9.ply", "frame0001.ply", "frame0009.PLY"])
 def test_nothing_is_mixed_with_numbered_files_of_others(finished, tmp_path, capsys, name):
     (tmp_path / name).write_text("mine")

@@ -19,6 +19,7 @@ from .meaning import without
 from .mesh import mesh
 from .straight import container, write_straight
 from .trained import (
+    MOST_ASKED,
     Antialiased,
     Moment,
     Up,
@@ -48,7 +49,9 @@ Largest = Annotated[
     float | None, typer.Option("--largest", metavar="PX", help="Motion that gets full colour; by default chosen for the flow.")
 ]
 
-Times = Annotated[int | None, typer.Option("--times", min=1, max=10_000, help="Number of files; by default one for each time, at most 60.")]
+Times = Annotated[
+    int | None, typer.Option("--times", min=1, max=MOST_ASKED, help="Number of files; by default one for each time, at most 60.")
+]
 Target = Annotated[
     Path | None,
     typer.Option(
@@ -175,4 +178,5 @@ def _splats(
         done = export_splats(trained.model, trained.frames, target, moments, kind, single, axis, antialiased, bar.advance)
     each = counted(done.most, "Gaussian") if done.fewest == done.most else f"{done.fewest} to {done.most} Gaussians"
     files = f"{len(moments)} files, {each} each" if len(moments) > 1 else each
-    say(f"{files}; {done.loss}", *(f"note: {note}" for note in done.notes), axes_line(done.turn, trained.frames), f"{kind}: {target}")
+    notes = *trained.thinned(len(moments), times), *(f"note: {note}" for note in done.notes)
+    say(f"{files}; {done.loss}", *notes, axes_line(done.turn, trained.frames), f"{kind}: {target}")

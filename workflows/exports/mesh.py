@@ -16,7 +16,20 @@ from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
-from .trained import Moment, Trained, Up, axes_line, check_moment, check_single, check_strangers, is_file, open_trained, up_axis, writing
+from .trained import (
+    MOST_ASKED,
+    Moment,
+    Trained,
+    Up,
+    axes_line,
+    check_moment,
+    check_single,
+    check_strangers,
+    is_file,
+    open_trained,
+    up_axis,
+    writing,
+)
 
 if TYPE_CHECKING:
     from ...scene.formats.axes import Turn
@@ -33,7 +46,7 @@ Out = Annotated[
 Times = Annotated[
     int | None,
     typer.Option(
-        "--times", min=1, max=10_000, help="Number of times, first to last; by default the middle one, for --convexes all, at most 60."
+        "--times", min=1, max=MOST_ASKED, help="Number of times, first to last; by default the middle one, for --convexes all, at most 60."
     ),
 ]
 Hulls = Annotated[bool, typer.Option("--convexes", help="Only the hulls of the model's convexes.")]
@@ -91,7 +104,7 @@ def mesh(
             triangles = write_meshes(trained, meshes, moments, target, single, turn)
     least, most = min(triangles), max(triangles)
     said = (counted(most, "triangle") if least == most else f"{least} to {most} triangles") + (f" at {count} times" if count > 1 else "")
-    say(f"{said}; {made}", axes_line(turn, trained.frames), f"mesh: {target}")
+    say(f"{said}; {made}", *trained.thinned(count, times), axes_line(turn, trained.frames), f"mesh: {target}")
 
 
 def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool, turn: Turn) -> list[int]:

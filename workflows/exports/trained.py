@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ...scene.model import Model
     from ...stages.shared.frameset import FrameSet
 
-MOST_TIMES = 60
+MOST_TIMES, MOST_ASKED = 60, 10_000  # by default, and that --times takes
 
 Moment = Annotated[float | None, typer.Option("--time", metavar="T", help="Only this time, 0 (first) to 1 (last).")]
 Up = Annotated[
@@ -59,6 +59,14 @@ class Trained:
         if number == 1:
             return [0.5 if time is None else time]
         return [k / (number - 1) for k in range(number)]
+
+    def thinned(self, number: int, asked: int | None) -> tuple[str, ...]:
+        """The line that tells that an export has a ``number`` of times and the capture more, though nobody ``asked`` for that; or none."""
+        if asked is not None or not MOST_TIMES <= number < self.times:
+            return ()
+        most = min(self.times, MOST_ASKED)
+        wanted = f"--times {most} for {'all' if most == self.times else 'more'}"
+        return (f"note: {number} of {self.times} times; {wanted}; what is visible only between them is left out",)
 
     def folder(self, out: Path | None, kind: str) -> Path:
         """``out``, or the scene's folder for exports of this ``kind``."""

@@ -12,7 +12,7 @@ from ...pipeline import Progress, counted, say
 from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
-from .trained import Antialiased, Moment, Up, axes_line, check_moment, is_file, open_trained, up_axis, writing
+from .trained import MOST_ASKED, Antialiased, Moment, Up, axes_line, check_moment, is_file, open_trained, up_axis, writing
 
 ENDINGS = (".usdc", ".usda")
 
@@ -21,7 +21,7 @@ Out = Annotated[
     typer.Option("--out", parser=typed_path, metavar="FILE.usdc|FILE.usda|DIR", help="Output; by default scenes/<name>/export/usd."),
 ]
 Times = Annotated[
-    int | None, typer.Option("--times", min=1, max=10_000, help="Number of time samples; by default one for each time, at most 60.")
+    int | None, typer.Option("--times", min=1, max=MOST_ASKED, help="Number of time samples; by default one for each time, at most 60.")
 ]
 
 
@@ -49,4 +49,4 @@ def usd(
         done = export_usd(trained.model, trained.frames, path, moments, trained.times, axis, antialiased, bar.advance)
     count = f"{len(moments)} times" if len(moments) > 1 else "one time"
     said = f"{counted(done.gaussians, 'Gaussian')} at {count}, {done.rate:.6g} time codes a second; {done.loss}"
-    say(said, axes_line(done.turn, trained.frames), f"usd: {path}")
+    say(said, *trained.thinned(len(moments), times), axes_line(done.turn, trained.frames), f"usd: {path}")
