@@ -69,4 +69,4 @@ def linear_colors(colors: np.ndarray) -> np.ndarray:
 
 def node_rotation(turn: Turn | None) -> dict[str, list[float]]:
     """What a node says of ``turn``: its quaternion x y z w, or nothing if it does not turn."""
-    return {"rotation": [float(c) for c in turn.quat[[1, 2, 3, 0]]]} if turn is not None and turn.degrees else {}
+    return {"rotation": [float(c) for c in turn.quat[[1, 2, 3, 0]]]} if turn is not None and turn.turns else {}

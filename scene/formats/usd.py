@@ -24,8 +24,9 @@ NOTE = (
 )
 
 
-def stage_turn(up: np.ndarray, wanted: str | None = None) -> Turn:
-    """The turn of /World for a scene with the up direction ``up`` [3].
+def stage_turn(up: np.ndarray, wanted: str | None = None, exact: bool = False) -> Turn:
+    """The turn of /World for a scene with the up direction ``up`` [3]. exact: the capture's axes have no meaning, so ``up`` itself counts
+    and not the axis nearest to it.
 
     wanted: the stage's up axis, "Y" or "Z"; "capture" leaves the scene as it is; by default the axis nearest to ``up`` stays if it is one
     of the two, and becomes +Y otherwise. Raises ValueError for other axes, which USD does not know as up axes."""
@@ -34,7 +35,8 @@ def stage_turn(up: np.ndarray, wanted: str | None = None) -> Turn:
         raise ValueError(f"{wanted} cannot be the up axis of a USD stage, which is Y or Z")
     if wanted == "capture":
         return Turn(axis, axis)
-    return Turn(axis, wanted or (axis if axis in ("Y", "Z") else "Y"))
+    after = wanted or (axis if axis in ("Y", "Z") else "Y")
+    return Turn.levelling(up, after) if exact else Turn(axis, after)
 
 
 def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[float], last_code: float, rate: float, turn: Turn) -> int:
@@ -61,7 +63,9 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
     root = UsdGeom.Xform.Define(stage, "/World")
     stage.SetDefaultPrim(root.GetPrim())
     UsdGeom.SetStageUpAxis(stage, turn.after if turn.after in ("Y", "Z") else "Y")
-    if turn.degrees:
+    if turn.up is not None:
+        root.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*map(float, turn.quat)))
+    elif turn.degrees:
         about = nearest_axis(turn.about)
         add = {"X": root.AddRotateXOp, "Y": root.AddRotateYOp, "Z": root.AddRotateZOp}[about[-1]]
         add().Set(float(-turn.degrees if about[0] == "-" else turn.degrees))

@@ -99,12 +99,16 @@ def origin_of(frames: FrameSet) -> dict[str, list[float]]:
 
 def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:
     """From the axes of the capture, whose up direction is the mean one of its training cameras, to those of a file with ``up`` (`AXES`, or
-    "capture" for none) or else ``usual`` pointing up."""
+    "capture" for none) or else ``usual`` pointing up. Axes that the capture's files give stand upright, so the nearest one is up. Those of
+    our own structure from motion are one camera's, however it was held, so there the direction itself is brought upright."""
     from ...scene.camera_paths import upward
 
     assert frames.cam_from_world is not None
-    axis = nearest_axis(upward(frames.cam_from_world[frames.train]))
-    return Turn(axis, axis if up == "capture" else up or usual)
+    direction = upward(frames.cam_from_world[frames.train])
+    axis = nearest_axis(direction)
+    if up == "capture":
+        return Turn(axis, axis)
+    return Turn.levelling(direction, up or usual) if frames.solved else Turn(axis, up or usual)
 
 
 def encoder(kind: SplatFormat, turn: Turn | None = None, antialiased: bool = False) -> Callable[[Gaussians], tuple[bytes, int]]:

@@ -59,7 +59,7 @@ def export_usd(
 
     assert frames.cam_from_world is not None
     try:
-        turn = stage_turn(upward(frames.cam_from_world[frames.train]), up)
+        turn = stage_turn(upward(frames.cam_from_world[frames.train]), up, frames.solved)
     except ValueError as error:
         raise SettingsError(f"--up {up}: {error}; give one of these, or capture") from error
     baked = bake(model, frames, antialiased)

@@ -32,6 +32,7 @@ class FrameSet:
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
     every_time: every so many-th time trains, and the pictures of the same cameras at the other times are test; 1 if all times train.
     watermark: [H,W] uint8, 255 where something stands still in all distorted pictures, such as a logo; None if nothing does.
+    solved: whether the poses are our own, from structure from motion, so that the axes of the world have no meaning.
     origin: [3], the point of the files' world that is the origin of this one; None if nothing was moved.
     masked: whether some pixels do not count, so that `kept` may return a mask.
     enough_points: whether the capture or structure from motion gives enough points to begin with.
@@ -47,7 +48,7 @@ class FrameSet:
         stored, solved = StoredFrames.read(frames), None if poses is None else StoredPoses.read(poses)
         stored = stored if chosen is None else stored.only(chosen)
         self.number = np.arange(len(stored.camera)) if chosen is None else np.asarray(chosen)
-        source, facts = solved or stored, stored.facts
+        source, facts, self.solved = solved or stored, stored.facts, solved is not None
         self.root = Path(root)
         self.width, self.height = facts.width, facts.height
         self.background, self.alpha = stored.background, facts.alpha

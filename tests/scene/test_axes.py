@@ -35,6 +35,18 @@ def test_right_stays_right_where_up_and_down_change_places():
     assert Turn("Z", "Z")(made) is made, "nothing is rounded where nothing turns"
 
 
+@pytest.mark.parametrize(("before", "after"), itertools.product(AXES, AXES))
+def test_levelling_brings_a_direction_upright_and_back(before, after):
+    up = 2 * unit_vector(before) + np.array([0.3, -0.5, 0.4])
+    turn, made = Turn.levelling(up, after), gaussians()
+    np.testing.assert_allclose(turn.matrix @ up, np.linalg.norm(up) * unit_vector(after), atol=1e-12)
+    np.testing.assert_allclose(turn.matrix @ turn.matrix.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(Rotation.from_quat(turn.quat[[1, 2, 3, 0]]).as_matrix(), turn.matrix, atol=1e-12)
+    assert "--up capture" in str(turn) and Turn.levelling(unit_vector(before), after) == Turn(before, after)
+    torch.testing.assert_close(turn.back(turn(made)).sh, made.sh, atol=1e-5, rtol=0)
+    torch.testing.assert_close(turn.back(turn(made)).means, made.means, atol=1e-5, rtol=0)
+
+
 @pytest.mark.parametrize("axis", AXES)
 def test_the_nearest_axis(axis):
     assert nearest_axis(unit_vector(axis) + 0.3 * np.array([0.3, -0.5, 0.4])) == axis

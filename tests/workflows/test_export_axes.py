@@ -5,7 +5,7 @@ where they put its parts, with the turn that each makes of its own accord.
 """
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +13,14 @@ import pytest
 import torch
 from e4dgs.rasterizer import Camera, Gaussians, rasterize
 from e4dgs.scene.camera_paths import look_at
-from e4dgs.scene.formats.axes import Turn
+from e4dgs.scene.formats.axes import Turn, unit_vector
 from e4dgs.scene.formats.usd import stage_turn, write_usd
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.exports.splats import KINDS, SplatFormat, export_splats, turn_of
+from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
@@ -53,6 +54,7 @@ class Frames:
     cam_from_world: np.ndarray
     width: int = 48
     height: int = 48
+    solved: bool = False  # poses from structure from motion
 
     def __post_init__(self) -> None:
         count = len(self.cam_from_world)
@@ -150,6 +152,45 @@ def test_a_camera_that_turns_with_the_file_sees_the_same(tmp_path, kind, least, 
             truth = rasterize(Camera(K, pose, 48, 48), model.at(0.0)[0], None, torch.zeros(3)).color
         errors.append((rasterize(Camera(K, pose @ turning.T, 48, 48), back, None, torch.zeros(3)).color - truth).square().mean())
     assert -10 * torch.log10(torch.stack(errors).mean()) > least
+
+
+def lowered(axes: np.ndarray) -> np.ndarray:
+    """``axes`` of a world that a camera gave which looked 25 degrees down, and was rolled by 8."""
+    return Rotation.from_euler("xz", [25, 8], degrees=True).as_matrix() @ axes
+
+
+@pytest.mark.parametrize("capture", CAPTURES)
+@pytest.mark.parametrize("up", [None, "Z"])
+def test_a_world_of_our_own_poses_is_levelled_exactly(tmp_path, capture, up):
+    """Positions, rotations and SH: a camera that turns along sees the same."""
+    pytest.importorskip("plyfile")
+    axes = lowered(CAPTURES[capture])
+    frames, model = replace(Frames.around(axes), solved=True), model_of(axes)
+    done = export_splats(model, frames, tmp_path / "a.ply", [0.0], single=True, up=up)
+    back = readers.by_plyfile(tmp_path / "a.ply")
+    height = back.means.double().numpy() @ unit_vector(up or "-Y")
+    np.testing.assert_allclose(height, places()[:, 1], atol=1e-3, err_msg="level but for the error of the mean up direction")
+    turning = torch.eye(4)
+    turning[:3, :3] = torch.from_numpy(done.turn.matrix)
+    for pose in torch.from_numpy(frames.cam_from_world[1:]).float():  # the first sees rows of the floor at one depth, in any order
+        K = torch.from_numpy(frames.K[0]).float()
+        with torch.no_grad():
+            truth = rasterize(Camera(K, pose, 48, 48), model.at(0.0)[0], None, torch.zeros(3)).color
+        seen = rasterize(Camera(K, pose @ turning.T, 48, 48), back, None, torch.zeros(3)).color
+        assert truth.std() > 0.05
+        torch.testing.assert_close(seen, truth, atol=1e-3, rtol=0)
+    assert turn_of(frames, "capture", "-Y").matrix.tolist() == np.eye(3).tolist(), "and can be left as it is"
+
+
+def test_meshes_of_our_own_poses_are_level(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    axes = lowered(CAPTURES["y-down"])
+    frames = replace(Frames.around(axes), solved=True)
+    mesh = Mesh((marked().vertices @ axes.T).astype(np.float32), marked().colors, marked().triangles)
+    (tmp_path / "m.glb").write_bytes(mesh_glb_bytes([mesh], [0.0], turn_of(frames, None, "Y")))
+    scene = trimesh.load(tmp_path / "m.glb", process=False)
+    matrix, geometry = scene.graph[next(iter(scene.graph.nodes_geometry))]
+    np.testing.assert_allclose((scene.geometry[geometry].vertices @ matrix[:3, :3].T)[:, 1], marked().vertices[:, 1], atol=1e-3)
 
 
 @pytest.mark.parametrize("up", ["X", "-X", "Y", "-Y", "Z", "-Z", "capture"])

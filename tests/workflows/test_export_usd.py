@@ -169,6 +169,17 @@ def test_the_stage_is_upright(tmp_path, up):
     assert nearest_axis(tilted) in ("X", "Y", "Z", "-X", "-Y", "-Z")
 
 
+@pytest.mark.parametrize("up", [(1, 0, 0), (0, 1, 0), (0, 0, -1)])
+@pytest.mark.parametrize("wanted", [None, "Y", "Z"])
+def test_the_stage_of_our_own_poses_is_upright_exactly(tmp_path, up, wanted):
+    tilted = np.array(up) + 0.3 * np.array([0.3, -0.5, 0.4])
+    write_usd(tmp_path / "a.usdc", moving, [0.0], 0.0, 24.0, stage_turn(tilted, wanted, exact=True))
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    shown = UsdGeom.Xformable(splats_of(stage)).ComputeLocalToWorldTransform(0).TransformDir(Gf.Vec3d(*map(float, tilted)))
+    axis = {"Y": (0, 1, 0), "Z": (0, 0, 1)}[UsdGeom.GetStageUpAxis(stage)]
+    np.testing.assert_allclose(np.array(shown), np.linalg.norm(tilted) * np.array(axis), atol=1e-9)
+
+
 @pytest.mark.parametrize("up", [(0, 1, 0), (0, 0, 1), (0, -1, 0)])
 def test_validators_find_nothing_and_the_colour_space_is_machine_readable(tmp_path, up):
     path = tmp_path / "a.usda"

@@ -138,12 +138,11 @@ def decoder(kind: Straight, data: bytes, clock: Clock, turn: Turn) -> Callable[[
     from ....scene.formats.freetime import read_freetime
     from ....scene.formats.gaussian_birth import read_container
 
-    back = Turn(turn.after, turn.before)
     if kind == "freetime":
         pieces = read_freetime(data)
-        return lambda t: back(pieces.at(t))
+        return lambda t: turn.back(pieces.at(t))
     at = read_container(data)
-    return lambda t: back(at(t * clock.span))
+    return lambda t: turn.back(at(t * clock.span))
 
 
 def clock_of(frames: FrameSet, times: int) -> Clock:
