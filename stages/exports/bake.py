@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 SPREADS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # standard deviations of a Gaussian over those of its convex's points; the fit begins at the best
 LOOKS = 4  # views by which candidates are judged
+MOMENTS = 5  # at which an export is compared with the model
 STEPS = 200  # steps of the fit, each with another camera and time; a fit to the same 12 views over and over overfits to them
 RATE = 0.04  # learning rate of Adam, decays to a twentieth; in ln of standard deviations, offsets in standard deviations, and logits
 
@@ -47,17 +48,23 @@ class Baked:
 
 @dataclass
 class Loss:
-    """psnr: dB, renders of the export against renders of the full model, over ``cameras`` cameras. convexes: how many became Gaussians.
-    antialiased: the export is rendered as programs with compensated opacity do, otherwise as those in the default mode do."""
+    """psnr: dB, renders of the export against renders of the full model, over ``cameras`` cameras at each of ``times`` moments. convexes:
+    how many became Gaussians. antialiased: the export is rendered as programs with compensated opacity do, otherwise as those in the
+    default mode do. worst: dB of the worst of several moments, at time ``when`` in [0, 1]."""
 
     psnr: float
     cameras: int
     convexes: int
     antialiased: bool = False
+    times: int = 1
+    worst: float = 0.0
+    when: float = 0.0
 
     def __str__(self) -> str:
         mode = "antialiased (compensated opacity)" if self.antialiased else "classic (0.3 px² added)"
         said = f"{self.psnr:.1f} dB from the full model in {mode} viewers, {counted(self.cameras, 'camera')}"
+        if self.times > 1:
+            said += f" at {self.times} times, the worst {self.worst:.1f} dB at time {self.when:.3g}"
         return f"{counted(self.convexes, 'convex became a Gaussian', 'convexes became Gaussians')}: {said}" if self.convexes else said
 
 
@@ -119,13 +126,17 @@ def _fitted(baked: Baked, frames: FrameSet) -> GaussianFit:
     return replace(start, **{name: value.detach() for name, value in learned.items()})
 
 
-def loss_of(baked: Baked, frames: FrameSet, t: float) -> Loss:
-    """How far renders of ``baked`` are from those of its model at time ``t``, over held-out cameras if there are enough of them."""
+def loss_of(baked: Baked, frames: FrameSet, *moments: float) -> Loss:
+    """How far renders of ``baked`` are from those of its model, over held-out cameras if there are enough of them, at `MOMENTS` of the
+    ``moments`` in [0, 1], evenly spread. Their mean squared error is the mean one; how well convexes and motion agree differs by time."""
     chosen = distinct_views(frames, np.concatenate([frames.test, frames.val]), LOOKS)
     if len(chosen) < LOOKS:
         chosen = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), LOOKS)
-    error = sum(_squared_error(baked, frames, int(i), t) for i in chosen) / len(chosen)
-    return Loss(float(-10 * np.log10(max(error, 1e-10))), len(chosen), len(baked.model.convexes), baked.antialiased)
+    looked = [moments[k] for k in np.unique(np.linspace(0, len(moments) - 1, MOMENTS).round().astype(int))]
+    errors = [float(np.mean([_squared_error(baked, frames, int(i), t) for i in chosen])) for t in looked]
+    mean, worst = (float(-10 * np.log10(max(error, 1e-10))) for error in (np.mean(errors), max(errors)))
+    when = looked[int(np.argmax(errors))]
+    return Loss(mean, len(chosen), len(baked.model.convexes), baked.antialiased, len(looked), worst, when)
 
 
 def _error(baked: Baked, frames: FrameSet, chosen: np.ndarray) -> float:

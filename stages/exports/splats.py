@@ -29,8 +29,9 @@ UP: dict[SplatFormat, str] = {"ply": "-Y", "compressed-ply": "-Y", "spz": "Y", "
 
 @dataclass
 class Exported:
-    """fewest, most: number of Gaussians per file. turn: from the capture's axes to those of the files. loss: how far the first file that
-    shows something is from the model, before rounding. notes: what the format cuts in it, and which files are empty, a line each."""
+    """fewest, most: number of Gaussians per file. turn: from the capture's axes to those of the files. loss: how far the files that show
+    something are from the model, before rounding. notes: what the format cuts in the first of these, and which files are empty, a line
+    each."""
 
     fewest: int
     most: int
@@ -84,12 +85,12 @@ def export_splats(
                 write(numbered(folder, k, KINDS[kind]), t)
             about = {"format": kind, "up": turn.after, "antialiased": antialiased, **origin_of(frames)}
             write_index(folder, KINDS[kind], moments, float(np.ptp(frames.seconds)), about)
-    empty, first = [k for k, number in enumerate(rows) if not number], moments[next(k for k, number in enumerate(rows) if number)]
-    notes = cut_by_spz(baked.at(first)) if kind == "spz" else []
+    empty, shown = [k for k, number in enumerate(rows) if not number], [t for t, number in zip(moments, rows) if number]
+    notes = cut_by_spz(baked.at(shown[0])) if kind == "spz" else []
     if empty:
         where = f"time {moments[empty[0]]:g} ({numbered(out, empty[0], KINDS[kind]).name})"
         notes.append(f"nothing is visible at {len(empty)} of {len(rows)} times, first at {where}; there the files show nothing")
-    return Exported(min(rows), max(rows), turn, loss_of(baked, frames, first), notes)
+    return Exported(min(rows), max(rows), turn, loss_of(baked, frames, *shown), notes)
 
 
 def origin_of(frames: FrameSet) -> dict[str, list[float]]:

@@ -73,4 +73,4 @@ def export_usd(
     number = write_usd(path, at, moments, float(times - 1), rate, turn)
     if not number:
         raise nothing_visible("usd", moments)
-    return ExportedUsd(number, rate, turn, loss_of(baked, frames, moments[0]))
+    return ExportedUsd(number, rate, turn, loss_of(baked, frames, *moments))

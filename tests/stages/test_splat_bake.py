@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.pipeline import SettingsError
+from e4dgs.rasterizer import Gaussians
 from e4dgs.scene.convex_gaussians import GaussianFit
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
@@ -107,3 +108,21 @@ def test_without_convexes_nothing_is_lost(frames):
     bare = Model(model.gaussians, model.convexes.select(torch.arange(0)), Static(), 1)
     loss = loss_of(bake(bare, frames), frames, 0.0)
     assert loss.psnr > 90 and "convexes" not in str(loss)
+
+
+class Fading(Baked):
+    """Right at first, and then ever more transparent."""
+
+    def at(self, t: float) -> Gaussians:
+        made = super().at(t)
+        return replace(made, opacities=(1 - t) * made.opacities)
+
+
+def test_a_loss_that_grows_in_the_clip_is_said(frames):
+    model = made_of_convexes()
+    bare = Model(model.gaussians, model.convexes.select(torch.arange(0)), Static(), 1)
+    fading = Fading(bare, GaussianFit.uniform(bare.convexes.points.detach(), 1.0), PlainLook.unchanged(10))
+    one, last, all_of = (loss_of(fading, frames, *moments) for moments in ([0.0], [1.0], np.linspace(0, 1, 60)))
+    assert one.psnr > 90 and "worst" not in str(one) and all_of.times == 5
+    assert (all_of.worst, all_of.when) == (last.psnr, 1.0) and last.psnr < all_of.psnr < last.psnr + 10 * np.log10(5)
+    assert f"4 cameras at 5 times, the worst {last.psnr:.1f} dB at time 1" in str(all_of)

@@ -103,7 +103,7 @@ def export_straight(
     psnr = compared(baked, frames, decoder(kind, data, clock, turn), MOMENTS if moves else (moment or 0.0,))
     advance(1)
     count = len(model.gaussians) + len(model.convexes)
-    loss = loss_of(baked, frames, moment or 0.0)
+    loss = loss_of(baked, frames, *(MOMENTS if moves else (moment or 0.0,)))
     levels, wanted = halvings(baked, times) if moves else (0, 0)
     shortest = clock.span / (1 << levels) if levels < wanted else 0.0
     return ExportedStraight(count, len(pieces), psnr, loss, turn, len(data), clock.seconds if moves else 0.0, shortest)
