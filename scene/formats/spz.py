@@ -8,6 +8,7 @@ import struct
 import numpy as np
 
 from ...rasterizer import Gaussians
+from ..primitives import SH_C0
 from .ply import seen
 from .smallest_three import LARGEST, smallest_three
 
@@ -16,6 +17,7 @@ MOST = 2**23 - 1  # greatest coordinate: signed 24 bits
 FRACTION = 20  # most fraction bits of a coordinate
 ANTIALIASED = 1  # a flag of the header
 LEAST_LOG, LOG_STEPS = -10, 16  # of ln of a standard deviation: the least, and steps in each unit; there are 256
+BASE = 0.15  # bytes of a base colour are (0.5 + BASE times its coefficient of SH) 255
 COARSE = 0.25  # of the median Gaussian's standard deviation: a step of positions that can be seen
 
 
@@ -38,31 +40,53 @@ def spz_bytes(gaussians: Gaussians, antialiased: bool = False) -> tuple[bytes, i
         struct.pack("<IIIBBBB", MAGIC, VERSION, rows, degree, fraction, ANTIALIASED * antialiased, 0),
         np.ascontiguousarray(fixed.reshape(-1, 1).view("u1")[:, :3]).tobytes(),
         _bytes(opacities * 255),
-        _bytes((0.5 + 0.15 * sh[:, 0]) * 255),
+        _bytes(_base_steps(sh)),
         _bytes(_log_steps(scales)),
         _rotations(quats).tobytes(),
-        _bytes(sh[:, 1:] * 128 + 128),
+        _bytes(_rest_steps(sh)),
     ]
     return gzip.compress(b"".join(parts), mtime=0), rows
 
 
 def cut_by_spz(gaussians: Gaussians) -> list[str]:
-    """What of the visible ones among ``gaussians`` (with sh) the format cannot hold as closely as their size asks for, a line each. It has
-    no unit of length, so a scene in millimetres, or with one Gaussian very far away, meets these limits."""
+    """What of the visible ones among ``gaussians`` (with sh) the format cannot hold, or not as closely as their size asks for, a line each.
+    It has no unit of length, so a scene in millimetres, or with one Gaussian very far away, meets the limits of length."""
     shown = seen(gaussians)
     if not len(shown.means):
         return []
     widest = shown.scales.detach().cpu().double().numpy().max(1)
     low, high = (float(np.exp(LEAST_LOG + k / LOG_STEPS)) for k in (0, 255))
-    steps, middle, farthest = np.rint(_log_steps(widest)), float(np.median(widest)), float(shown.means.abs().max())
+    middle, farthest = float(np.median(widest)), float(shown.means.abs().max())
     found, instead = [], "export ply or sog instead"
-    if beyond := int(((steps < 0) | (steps > 255)).sum()):
+    if beyond := int(_outside(_log_steps(widest)).sum()):
         counts = f"{beyond} of {len(widest)} Gaussians are not that size and are cut"
         found.append(f"SPZ holds standard deviations of {low:.2g} to {high:.3g} world units; {counts}; {instead}")
     if farthest <= MOST and (step := 2.0 ** -fraction_bits(farthest)) > COARSE * middle:
         far = f"a Gaussian lies {farthest:.3g} world units away, so SPZ rounds all positions to {step:.2g}"
         found.append(f"{far}, while the median standard deviation is {middle:.2g}; {instead}")
+    assert shown.sh is not None
+    sh = shown.sh.detach().cpu().double().numpy()
+    for what, limits, parts in (
+        ("base colours", f"of {0.5 - SH_C0 / (2 * BASE):.2g} to {0.5 + SH_C0 / (2 * BASE):.3g}", _base_steps(sh)),
+        ("SH above degree 0", "of -1 to 0.99", _rest_steps(sh)),
+    ):
+        if beyond := int(_outside(parts).reshape(len(sh), -1).any(1).sum()):
+            found.append(f"SPZ holds {what} {limits}; {beyond} of {len(sh)} Gaussians have some beyond, which are cut; {instead}")
     return found
+
+
+def _base_steps(sh: np.ndarray) -> np.ndarray:
+    return np.asarray((0.5 + BASE * sh[:, 0]) * 255)
+
+
+def _rest_steps(sh: np.ndarray) -> np.ndarray:
+    return np.asarray(sh[:, 1:] * 128 + 128)
+
+
+def _outside(steps: np.ndarray) -> np.ndarray:
+    """Which of the numbers that `_bytes` writes it would cut."""
+    rounded = np.rint(steps)
+    return np.asarray((rounded < 0) | (rounded > 255))
 
 
 def _log_steps(scales: np.ndarray) -> np.ndarray:

@@ -56,10 +56,24 @@ def test_what_is_too_far_for_spz_is_said():
 def test_what_spz_would_cut_is_said(unit, far, words):
     """In other units of length, or with one Gaussian very far away. In the file a Gaussian of 1e4 would be 379."""
     made = gaussians(300)
-    made.means, made.scales = unit * made.means, unit * made.scales
+    made.means, made.scales, made.sh = unit * made.means, unit * made.scales, 0.1 * made.sh
     made.means[0] = torch.tensor([far, 0.0, 0.0])
     found = cut_by_spz(made)
     assert len(found) == len(words) and all(word in line and "export ply" in line for word, line in zip(words, found))
+
+
+def test_colours_and_sh_that_spz_would_cut_are_counted():
+    """A byte of 255 is 127/128, which is what 1 - 1/256 rounds to."""
+    made = gaussians(300)
+    made.sh = (0.1 * made.sh).clamp(-0.5, 0.5)
+    made.sh[0, 5, 1], made.sh[1, 15, 2], made.sh[2, 1, 0], made.sh[3, 0, 1] = 0.995, -1.003, 0.998, -3.3
+    assert [line.split(";")[1] for line in cut_by_spz(made)] == [" 1 of 300 Gaussians have some beyond, which are cut"], "only 0.998"
+    made.sh[4:9, 0, 2], made.sh[8:10, 0, 0] = 4.0, -4.0
+    base, rest = cut_by_spz(made)
+    assert base == (
+        "SPZ holds base colours of -0.44 to 1.44; 6 of 300 Gaussians have some beyond, which are cut; export ply or sog instead"
+    )
+    assert "SH above degree 0 of -1 to 0.99" in rest and cut_by_spz(gaussians(300, degree=0)) == []
 
 
 def test_spz_of_nothing_cuts_nothing():
