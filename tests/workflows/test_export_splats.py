@@ -115,6 +115,12 @@ def test_gltf_is_a_file_for_each_time(finished, tmp_path):
     assert all(file.read_bytes()[:4] == b"glTF" for file in files)
 
 
+@pytest.mark.parametrize("name", ["sh010_v1.2", "take.b/"])
+def test_a_new_folder_may_have_a_dot_in_its_name(finished, tmp_path, name):
+    assert main(["export", *finished, "--time", "0", "--out", f"{tmp_path}/{name}"]) == 0
+    assert sorted(one.name for one in (tmp_path / name).iterdir()) == ["frame0001.ply", "sequence.json"]
+
+
 def test_a_file_as_folder_is_refused(finished, tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert main(["export", *finished, "--out", str(tmp_path / "file")]) == 2

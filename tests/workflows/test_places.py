@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 from e4dgs.pipeline import SettingsError
-from e4dgs.workflows.machine.places import check_output, typed_path
+from e4dgs.workflows.exports.render import _checked
+from e4dgs.workflows.exports.trained import is_file
+from e4dgs.workflows.machine.places import check_output, typed_output, typed_path
 
 KINDS = ("flow", "ply", "spz", "sog", "gltf", "web", "4dgs", "usd", "mesh")
 COMMANDS = [("render",), *(("export", kind) for kind in KINDS)]
@@ -118,3 +120,21 @@ def test_a_workspace_at_or_below_a_file_is_refused(cli, capture, tmp_path, comma
         result = cli(*command, capture, "--workspace", workspace)
         said = f"error: --workspace {workspace}: {tmp_path / 'file'} is a file, not a folder; give another --workspace\n"
         assert (result.code, result.err) == (2, said)
+
+
+@pytest.mark.parametrize("name", ["new", "sh010_v1.2", "take.2026-11-30", "take.2026-11-30/", "a.ply/", "scene.mp4/", "there.ply"])
+def test_what_means_a_folder(tmp_path, name):
+    (tmp_path / "there.ply").mkdir()
+    out = typed_output(f"{tmp_path}/{name}")
+    assert not is_file(out, (".ply",)) and not _checked(out, alpha=True, depth=True)
+    assert list(tmp_path.iterdir()) == [tmp_path / "there.ply"]
+
+
+@pytest.mark.parametrize("name", ["a.splat", "a.4dgs", "a.7z"])
+def test_an_unknown_ending_is_no_folder_and_the_ways_to_name_one_are_told(tmp_path, name):
+    for refuse in (lambda out: is_file(out, (".ply",)), lambda out: _checked(out, alpha=False, depth=False)):
+        with pytest.raises(SettingsError, match=r"must end in .*a folder exists, is typed with a / at its end, or has no ending"):
+            refuse(typed_output(f"{tmp_path}/{name}"))
+    (tmp_path / "file.1").touch()
+    with pytest.raises(SettingsError, match="this is a file; name a folder"):
+        is_file(typed_output(f"{tmp_path}/file.1"), (".ply",))

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, counted, say
-from ..machine.places import typed_path
+from ..machine.places import typed_output
 from ..machine.writable import writing_to
 from ..options import of_last_run
 from ..results import results
@@ -43,7 +43,7 @@ app = typer.Typer(no_args_is_help=True, help="Write results as files for other p
 
 Out = Annotated[
     Path | None,
-    typer.Option("--out", parser=typed_path, metavar="DIR", help="Output folder; by default scenes/<name>/export/flow in the workspace."),
+    typer.Option("--out", parser=typed_output, metavar="DIR", help="Output folder; by default scenes/<name>/export/flow in the workspace."),
 ]
 Largest = Annotated[
     float | None, typer.Option("--largest", metavar="PX", help="Motion that gets full colour; by default chosen for the flow.")
@@ -56,7 +56,7 @@ Target = Annotated[
     Path | None,
     typer.Option(
         "--out",
-        parser=typed_path,
+        parser=typed_output,
         metavar="FILE|DIR",
         help="A folder, or a file for one time; by default scenes/<name>/export/ in the workspace.",
     ),

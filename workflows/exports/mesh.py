@@ -12,7 +12,7 @@ from rich.console import Console
 
 from ...pipeline import Progress, SettingsError, counted, say
 from ...pipeline.files import write_atomically
-from ..machine.places import typed_path
+from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
@@ -41,7 +41,7 @@ UP = {".glb": "Y", ".ply": "Z"}  # glTF says +Y is up; Blender and CloudCompare 
 
 Out = Annotated[
     Path | None,
-    typer.Option("--out", parser=typed_path, metavar="FILE.glb|FILE.ply|DIR", help="Output; by default scenes/<name>/export/mesh."),
+    typer.Option("--out", parser=typed_output, metavar="FILE.glb|FILE.ply|DIR", help="Output; by default scenes/<name>/export/mesh."),
 ]
 Times = Annotated[
     int | None,

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, StageError, counted, say
-from ..machine.places import typed_path
+from ..machine.places import FOLDERS, NamedFolder, is_folder, typed_output, typed_path
 from ..options import of_last_run
 from ..session import Options
 from .film import Asked, Film
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @of_last_run("coarse")
 def render(
     options: Options,
-    out: Annotated[Path, typer.Option("--out", parser=typed_path, metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
+    out: Annotated[Path, typer.Option("--out", parser=typed_output, metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
     path: Annotated[str, typer.Option("--path", metavar="NAME|FILE.json", help="turntable, spiral, capture, or a file.")] = "spiral",
     frames: Annotated[int | None, typer.Option("--frames", min=1, max=100_000, help="Number of pictures.")] = None,
     seconds: Annotated[
@@ -84,13 +84,13 @@ def render(
 
 def _checked(out: Path, alpha: bool, depth: bool) -> bool:
     """Whether ``out`` is a video. Raises SettingsError or StageError if it cannot be written, or cannot hold what is asked for."""
-    video = out.suffix.lower() == ".mp4"
+    video = out.suffix.lower() == ".mp4" and not isinstance(out, NamedFolder)
     if depth and video:
         raise SettingsError("--depth: a video holds no depth; give a folder as --out")
     if alpha and video:
         raise SettingsError("--alpha: an mp4 video holds no transparency; give a folder as --out, for PNG files with alpha")
-    if out.suffix and not video and not out.is_dir():
-        raise SettingsError(f"--out {out}: the file must end in .mp4; without an ending it is a folder for PNG files")
+    if not video and not is_folder(out):
+        raise SettingsError(f"--out {out}: the file must end in .mp4; or name a folder for PNG files: {FOLDERS}")
     if video and out.is_dir():
         raise SettingsError(f"--out {out}: this is a folder; name a file that ends in .mp4, or a folder without that ending")
     whole = out.absolute()

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from ...pipeline import Progress, say
-from ..machine.places import typed_path
+from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 ENDINGS: dict[Straight, str] = {"4dgs": ".4dgs", "freetime": ".ply"}
 
 Out = Annotated[
-    Path | None, typer.Option("--out", parser=typed_path, metavar="FILE.4dgs|DIR", help="Output; by default in scenes/<name>/export/4dgs.")
+    Path | None,
+    typer.Option("--out", parser=typed_output, metavar="FILE.4dgs|DIR", help="Output; by default in scenes/<name>/export/4dgs."),
 ]
 
 

@@ -12,6 +12,7 @@ import typer
 
 from ...pipeline import SettingsError, StageError, say
 from ...stages.facts import Facts
+from ..machine.places import FOLDERS, is_folder
 from ..machine.writable import writing_to
 from ..results import results, trained_stage
 from ..session import Options, Session, open_session
@@ -145,12 +146,12 @@ def check_strangers(out: Path | None, ending: str) -> None:
 
 
 def is_file(out: Path | None, endings: tuple[str, ...]) -> bool:
-    """Whether ``out`` names a file with one of ``endings``. A folder exists or has no ending. Raises SettingsError for other endings."""
-    if out is None or out.is_dir() or not out.suffix:
+    """Whether ``out`` names a file with one of ``endings``, and no folder (`is_folder`). Raises SettingsError for other endings."""
+    if out is None or is_folder(out):
         check_folder(out)
         return False
     if out.suffix.lower() not in endings:
-        raise SettingsError(f"--out {out}: the file must end in {' or '.join(endings)}; without an ending it is a folder")
+        raise SettingsError(f"--out {out}: the file must end in {' or '.join(endings)}; {FOLDERS}")
     return True
 
 

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, say
 from ...pipeline.files import write_atomically
-from ..machine.places import typed_path
+from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
@@ -23,7 +23,7 @@ Out = Annotated[
     Path | None,
     typer.Option(
         "--out",
-        parser=typed_path,
+        parser=typed_output,
         metavar="FILE.html|DIR",
         help="One page with everything in it, or a folder with page and data apart, for a web server; by default a page in "
         "scenes/<name>/export/web.",

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PosixPath
 
 import typer
 
 from ...pipeline import SettingsError
+
+DIGITS = (".4dgs", ".3ds", ".3mf", ".3gp", ".7z")  # endings of files that begin with a digit
+FOLDERS = "a folder exists, is typed with a / at its end, or has no ending"
 
 
 def typed_path(text: str | Path) -> Path:
@@ -20,6 +23,23 @@ def typed_path(text: str | Path) -> Path:
         return Path(text).expanduser()
     except RuntimeError as error:
         raise typer.BadParameter(f"{text}: there is no such user; for a name that begins with ~ give the whole path") from error
+
+
+class NamedFolder(PosixPath):
+    """A path that was typed with a slash at its end, so that it means a folder, whatever its ending. Others forget the slash."""
+
+
+def typed_output(text: str | Path) -> Path:
+    """`typed_path`, which remembers a slash at its end."""
+    path = typed_path(text)
+    return NamedFolder(path) if isinstance(text, NamedFolder) or str(text).endswith("/") else path
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a path for results means a folder: it is one, was typed with a slash at its end, or has no ending of a file. An ending that
+    begins with a digit is a version or a date (v1.2, take.2026-11-30), unless files are known to have it."""
+    ending = path.suffix.lower()
+    return path.is_dir() or isinstance(path, NamedFolder) or not ending or (ending[1].isdigit() and ending not in DIGITS)
 
 
 def check_workspace(workspace: Path) -> None:
