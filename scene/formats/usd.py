@@ -40,7 +40,8 @@ def stage_turn(up: np.ndarray, wanted: str | None = None, exact: bool = False) -
 
 
 def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[float], last_code: float, rate: float, turn: Turn) -> int:
-    """Write ``path`` (.usdc or .usda), completely or not at all, and return the number of Gaussians. If that is 0, nothing is written.
+    """Write ``path`` (.usda as text; .usdc or .usd as binary crate), completely or not at all, and return the number of Gaussians. If that
+    is 0, nothing is written.
 
     at: returns the Gaussians (with sh) at a time in [0, 1], always the same number in the same order. times: increasing; time t becomes
     time code t * last_code. rate: time codes a second. turn: that of /World, see `stage_turn`; its last axis is the stage's up axis (Y if
@@ -126,7 +127,8 @@ def _export(layer: Any, path: Path) -> None:
     with tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=path.parent) as folder:
         part = Path(folder) / path.name
         try:
-            done, told = layer.Export(str(part)), ""
+            kind = {"format": "usdc"} if path.suffix.lower() == ".usd" else {}  # else a variable of the environment decides
+            done, told = layer.Export(str(part), args=kind), ""
         except Tf.ErrorException as error:  # a page of its insides: each write that failed, and what it then could not read back
             done, told = False, str(error)
         if not done:

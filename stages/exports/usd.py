@@ -42,7 +42,7 @@ def export_usd(
     antialiased: bool = False,
     advance: Callable[[int], None] = lambda n: None,
 ) -> ExportedUsd:
-    """Writes ``path`` (.usdc or .usda) with time samples at ``moments``, increasing, in [0, 1]; see `write_usd`.
+    """Writes ``path`` (.usdc, .usda or .usd) with time samples at ``moments``, increasing, in [0, 1]; see `write_usd`.
 
     times: number of times of the capture; time codes are its frames, counted from 0. up: see `stage_turn`. antialiased: see `bake`.
     ``advance`` is called twice per sample. Raises SettingsError if usd-core is not installed, or for another ``up``;

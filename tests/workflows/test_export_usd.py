@@ -114,11 +114,11 @@ def view(gaussians: Gaussians) -> torch.Tensor:
     return rasterize(camera, gaussians, None, torch.full((3,), 0.2)).color
 
 
-@pytest.mark.parametrize("ending", [".usdc", ".usda"])
+@pytest.mark.parametrize("ending", [".usdc", ".usda", ".usd"])
 def test_what_is_read_back_renders_the_same(tmp_path, ending):
     times = [0.0, 0.25, 0.5, 1.0]
     assert write_usd(tmp_path / f"a{ending}", moving, times, 8.0, 12.0, Turn("Y", "Y")) == 49
-    assert ((tmp_path / f"a{ending}").read_bytes()[:8] == b"PXR-USDC") is (ending == ".usdc")
+    assert ((tmp_path / f"a{ending}").read_bytes()[:8] == b"PXR-USDC") is (ending != ".usda")
     stage = Usd.Stage.Open(str(tmp_path / f"a{ending}"))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetTimeCodesPerSecond()) == (0, 8, 12)
     splats = splats_of(stage)
@@ -194,6 +194,12 @@ def test_validators_find_nothing_and_the_colour_space_is_machine_readable(tmp_pa
 def test_a_folder_gets_the_scene_s_name(finished, tmp_path):
     assert export(finished, "--times", 2, "--out", tmp_path / "folder") == 0
     assert [f.name for f in (tmp_path / "folder").iterdir()] == [f"{finished[0].root.name}.usdc"]
+
+
+def test_usd_is_an_ending_too(finished, tmp_path):
+    assert export(finished, "--time", 0, "--out", tmp_path / "scene.usd") == 0
+    stage = Usd.Stage.Open(str(tmp_path / "scene.usd"))
+    assert splats_of(stage) and (tmp_path / "scene.usd").read_bytes()[:8] == b"PXR-USDC"
 
 
 def test_another_ending_is_refused(finished, tmp_path, capsys):

@@ -14,11 +14,13 @@ from ..options import of_last_run
 from ..session import Options
 from .trained import MOST_ASKED, Antialiased, Moment, Up, axes_line, check_moment, is_file, open_trained, up_axis, writing
 
-ENDINGS = (".usdc", ".usda")
+ENDINGS = (".usdc", ".usda", ".usd")
 
 Out = Annotated[
     Path | None,
-    typer.Option("--out", parser=typed_output, metavar="FILE.usdc|FILE.usda|DIR", help="Output; by default scenes/<name>/export/usd."),
+    typer.Option(
+        "--out", parser=typed_output, metavar="FILE.usd|FILE.usdc|FILE.usda|DIR", help="Output; by default scenes/<name>/export/usd."
+    ),
 ]
 Times = Annotated[
     int | None, typer.Option("--times", min=1, max=MOST_ASKED, help="Number of time samples; by default one for each time, at most 60.")
