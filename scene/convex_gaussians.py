@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations, product
 
 import torch
 from torch import Tensor
@@ -43,13 +44,35 @@ class GaussianFit:
         covariance = wide @ wide.transpose(1, 2)
         with torch.no_grad():
             _, axes = torch.linalg.eigh(covariance)
-            axes = axes * torch.linalg.det(axes)[:, None, None].sign()
+            axes = named_as(axes, wide)
         scales = (axes * (covariance @ axes)).sum(1).clamp(min=1e-14).sqrt()
         means = points.mean(1) + (frame @ self.offset[:, :, None])[..., 0]
         opacities = torch.sigmoid(torch.logit(convexes.opacities.detach(), eps=1e-6) + self.opacity)
         # A convex that is absent at this time stays absent, whatever the fit adds.
         opacities = torch.where(convexes.opacities.detach() > 0, opacities, 0.0)
         return Gaussians(means, _quats(axes), scales, opacities, sh=convexes.sh.detach())
+
+
+@torch.no_grad()
+def named_as(axes: Tensor, frame: Tensor) -> Tensor:
+    """``axes`` [M, 3, 3], orthonormal columns, in the order and with the signs that make them the rotation nearest to that of ``frame``
+    [M, 3, 3]. A solver sorts axes anew at each time, so they would swap or flip between times, and what lies between would turn with them;
+    a frame that turns with the points does not."""
+    turned = frame.double().clone()
+    turned[:, :, 2] *= torch.where(torch.linalg.det(turned) < 0, -1.0, 1.0)[:, None]
+    u, _, vt = torch.linalg.svd(turned)
+    names = torch.tensor(
+        [
+            [[sign[i] * (order[i] == j) for i in range(3)] for j in range(3)]
+            for order in permutations(range(3))
+            for sign in product((1.0, -1.0), repeat=3)
+        ],
+        dtype=torch.float64,
+        device=frame.device,
+    )
+    likeness = torch.einsum("nji,mji->mn", names, axes.double().transpose(1, 2) @ (u @ vt))
+    right = torch.linalg.det(names)[None] * torch.linalg.det(axes.double())[:, None] > 0
+    return axes @ names.to(axes)[torch.where(right, likeness, -torch.inf).argmax(1)]
 
 
 @torch.no_grad()

@@ -62,6 +62,24 @@ def test_a_frame_s_square_is_the_covariance_whatever_the_motion():
     torch.testing.assert_close(F @ F.transpose(1, 2), centred.transpose(1, 2) @ centred / 6, atol=1e-4, rtol=1e-4)
 
 
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_axes_keep_their_names_while_a_convex_turns_and_stretches(mirror):
+    """So that what is read between two times is on the way between them. On the way the longest axis becomes the shortest."""
+    rest = torch.randn(20, 8, 3, generator=torch.Generator().manual_seed(2)) * torch.tensor([0.4, 0.2, 0.1 * mirror])
+    fit = GaussianFit.uniform(rest, 0.7)
+    first = fit.gaussians(convexes(rest))
+    for k in range(1, 12):
+        turn = torch.from_numpy(Rotation.from_rotvec([0.5 * k, -0.3 * k, 0.4 * k]).as_matrix()).float()
+        made = fit.gaussians(convexes(rest @ turn.T + k * SHIFT))
+        torch.testing.assert_close(made.scales, first.scales, atol=1e-4, rtol=1e-3)
+        wanted = turn @ quats_to_matrices(first.quats)
+        torch.testing.assert_close(quats_to_matrices(made.quats), wanted, atol=5e-3, rtol=0)
+        axes = quats_to_matrices(first.quats)
+        stretch = axes @ (torch.tensor([1 - 0.08 * k, 1.0, 1 + 0.4 * k])[:, None] * axes.transpose(1, 2))
+        made = fit.gaussians(convexes(rest @ stretch.transpose(1, 2)))
+        torch.testing.assert_close(made.scales, first.scales * torch.tensor([1 - 0.08 * k, 1.0, 1 + 0.4 * k]), atol=1e-4, rtol=1e-2)
+
+
 def test_gradients_are_those_of_finite_differences_where_axes_do_not_turn():
     fit = GaussianFit.uniform(ellipsoid(), 0.7)
     weights = torch.tensor([[1.0, -2.0, 0.5]])

@@ -6,11 +6,14 @@ import e4dgs
 import numpy as np
 import pytest
 import torch
-from e4dgs.rasterizer import Camera, Gaussians, rasterize
+from e4dgs.rasterizer import Camera, Convexes, Gaussians, rasterize
+from e4dgs.scene.convex_gaussians import GaussianFit
 from e4dgs.scene.formats.axes import Turn, nearest_axis
 from e4dgs.scene.formats.ply import LEAST_ALPHA
 from e4dgs.scene.formats.usd import stage_turn, write_usd
+from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.workflows.cli import main
+from scipy.spatial.transform import Rotation
 from small_disk import small_disk
 
 pxr = pytest.importorskip("pxr")
@@ -130,6 +133,25 @@ def test_what_is_read_back_renders_the_same(tmp_path, ending):
     assert ((before * after).sum(1) >= 0).all(), "between samples each turns the short way"
     low, high = np.array(splats.GetExtentAttr().Get(0))
     assert (gaussians_of(splats, 0).means.numpy() > low).all() and (gaussians_of(splats, 0).means.numpy() < high).all()
+
+
+def test_between_samples_a_turning_convex_is_on_its_way(tmp_path):
+    rest = torch.randn(30, 8, 3, generator=torch.Generator().manual_seed(2)) * torch.tensor([0.4, 0.2, 0.1])
+    fit, one = GaussianFit.uniform(rest, 0.7), torch.ones(30)
+
+    def at(t: float) -> Gaussians:
+        turn = torch.from_numpy(Rotation.from_rotvec([3.0 * t, -2.0 * t, 1.0 * t]).as_matrix()).float()
+        return fit.gaussians(Convexes(rest @ turn.T + t, one, one, 0.8 * one, sh=torch.zeros(30, 4, 3)))
+
+    def covariances(made: Gaussians) -> torch.Tensor:
+        wide = quats_to_matrices(made.quats) * made.scales[:, None]
+        return wide @ wide.transpose(1, 2)
+
+    write_usd(tmp_path / "a.usdc", at, np.linspace(0, 1, 9).tolist(), 8.0, 12.0, Turn("Y", "Y"))
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    splats = splats_of(stage)
+    for code in (0.5, 3.5, 7.5):
+        torch.testing.assert_close(covariances(gaussians_of(splats, code)), covariances(at(code / 8)), atol=2e-4, rtol=0)
 
 
 def test_readers_that_ask_for_no_time_find_the_first(tmp_path):
