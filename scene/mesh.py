@@ -24,6 +24,10 @@ class Mesh:
     colors: np.ndarray
     triangles: np.ndarray
 
+    @classmethod
+    def empty(cls) -> Mesh:
+        return cls(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32), np.zeros((0, 3), np.int32))
+
 
 def mesh_ply_bytes(mesh: Mesh, turn: Turn | None = None) -> bytes:
     """Binary, little-endian: x y z float32, red green blue alpha uint8, and the list vertex_indices. turn: of the vertices."""

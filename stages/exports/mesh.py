@@ -3,13 +3,14 @@ by Open3D (TSDF, Curless and Levoy 1996)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ...pipeline import StageError
 from ...vision.clouds import load_open3d
+from .bake import MOMENTS
 from .capture_cameras import camera_of, distinct_views
 
 if TYPE_CHECKING:
@@ -67,24 +68,32 @@ def look(model: Model, frames: FrameSet, i: int, t: float) -> Look:
     )
 
 
-def size_of(model: Model, frames: FrameSet, t: float) -> Size:
-    """Voxel size that matches the resolution of the cameras, and the largest depth to fuse, at time ``t``. Raises StageError if nothing is
-    solid."""
-    depths, points, focal = [], [], []
-    for i in distinct_views(frames, frames.train, LOOKS):
-        seen = look(model, frames, int(i), t)
-        rows, columns = np.nonzero(seen.depth)
-        z = seen.depth[rows, columns].astype(np.float64)
-        rays = np.stack([columns + 0.5, rows + 0.5, np.ones(len(z))], 1) @ np.linalg.inv(seen.K).T
-        rotation, shift = seen.cam_from_world[:3, :3], seen.cam_from_world[:3, 3]
-        points.append((rays * z[:, None] - shift) @ rotation)
-        depths.append(z)
-        focal.append(seen.K[0, 0])
+class NoSurface(StageError):
+    """Nothing at a time can be fused."""
+
+
+def size_of(model: Model, frames: FrameSet, *moments: float) -> Size:
+    """Voxel size that matches the resolution of the cameras, and the largest depth to fuse, over `MOMENTS` of the ``moments``, evenly
+    spread, or over the first of the others with anything solid if these have nothing. Raises StageError if nothing is solid at any."""
+    depths: list[np.ndarray] = []
+    points, focal = [], []
+    spread = np.unique(np.linspace(0, len(moments) - 1, MOMENTS).round().astype(int)).tolist()
+    for k, number in enumerate([*spread, *(n for n in range(len(moments)) if n not in spread)]):
+        if k >= len(spread) and any(len(one) for one in depths):
+            break
+        for i in distinct_views(frames, frames.train, LOOKS):
+            seen = look(model, frames, int(i), moments[number])
+            rows, columns = np.nonzero(seen.depth)
+            z = seen.depth[rows, columns].astype(np.float64)
+            rays = np.stack([columns + 0.5, rows + 0.5, np.ones(len(z))], 1) @ np.linalg.inv(seen.K).T
+            rotation, shift = seen.cam_from_world[:3, :3], seen.cam_from_world[:3, 3]
+            points.append((rays * z[:, None] - shift) @ rotation)
+            depths.append(z)
+            focal.append(seen.K[0, 0])
     z, places = np.concatenate(depths), np.concatenate(points)
     if not len(z):
-        raise StageError(
-            f"export mesh: no camera of the capture sees anything solid at time {t:g}; choose another --time, or train for longer"
-        )
+        when = f"time {moments[0]:g}" if len(moments) == 1 else f"any of {len(moments)} times"
+        raise NoSurface(f"export mesh: no camera of the capture sees anything solid at {when}; choose another --time, or train for longer")
     middle = float(np.median(z))
     low, high = np.percentile(places, (2, 98), axis=0)
     footprint = FOOTPRINT * middle / float(np.median(focal))
@@ -95,7 +104,7 @@ def size_of(model: Model, frames: FrameSet, t: float) -> Size:
 def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable[[int], None] = lambda n: None) -> Mesh:
     """The mesh at time ``t``. ``advance`` is called once for each of the `fused_views`.
 
-    Raises StageError if Open3D is not available, if nothing is solid, and if voxels of that size do not fit in memory.
+    Raises NoSurface if nothing is solid, StageError if Open3D is not available or voxels of that size do not fit in memory.
     """
     from ...scene.mesh import Mesh
 
@@ -122,12 +131,14 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
         if max(len(blocks), grid.hashmap().size()) > MOST_BLOCKS:
             raise StageError(f"export mesh: voxels of {size.voxel:.3g} world units take more than 3 GB; give a larger --voxel")
         grid.integrate(blocks, depth, geometry.Image(seen.color), intrinsic, extrinsic, 1.0, size.farthest, TRUNCATION)
-    surface = grid.extract_triangle_mesh(SEEN if len(views) > 1 else 0.5)
-    triangles = surface.triangle.indices.numpy() if "indices" in surface.triangle else np.zeros((0, 3))
+    triangles = np.zeros((0, 3))
+    if grid.hashmap().size():  # Open3D fails on a grid without blocks
+        surface = grid.extract_triangle_mesh(SEEN if len(views) > 1 else 0.5)
+        triangles = surface.triangle.indices.numpy() if "indices" in surface.triangle else triangles
     if not len(triangles):
         large = size.voxel > size.resolved  # then the scene vanishes in them; small ones are each seen by too few pixels
         advice = f"a smaller --voxel (the pixels resolve {size.resolved:.3g})" if large else "a larger --voxel"
-        raise StageError(
+        raise NoSurface(
             f"export mesh: no surface at time {t:g} with voxels of {size.voxel:.3g} world units; give {advice}, or train for longer"
         )
     colors = surface.vertex.colors.numpy()
@@ -136,6 +147,25 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
         np.concatenate([colors, np.ones((len(colors), 1))], axis=1).astype(np.float32),
         triangles.astype(np.int32),
     )
+
+
+def fuse_all(
+    model: Model, frames: FrameSet, moments: Sequence[float], size: Size, advance: Callable[[int], None] = lambda n: None
+) -> Iterator[Mesh]:
+    """The mesh at each of ``moments``, as `fuse` has it. It has no triangles where there is no surface, except if there is one at none of
+    them: then NoSurface is raised for the last."""
+    from ...scene.mesh import Mesh
+
+    lacking = 0
+    for t in moments:
+        try:
+            made = fuse(model, frames, t, size, advance)
+        except NoSurface:
+            lacking += 1
+            if lacking == len(moments):
+                raise
+            made = Mesh.empty()
+        yield made
 
 
 def fused_views(frames: FrameSet) -> np.ndarray:

@@ -7,7 +7,7 @@ from e4dgs.pipeline import StageError
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.exports.mesh import Size, fuse, look, size_of
+from e4dgs.stages.exports.mesh import Size, fuse, fuse_all, look, size_of
 from e4dgs.stages.shared.frameset import FrameSet
 from factory import Options, Sphere, make, write_dnerf
 from open3d_here import needs_open3d
@@ -80,6 +80,39 @@ def test_vertices_lie_on_the_true_surface_in_its_colour(posed, model):
     back = np.linalg.norm(on_surfaces(capture, 500)[:, None] - made.vertices[None], axis=2).min(1)
     # The floor's side of a cube that stands on it is seen by no camera above it.
     assert np.percentile(back, 75) < 2 * size.voxel, "what is seen has a surface"
+
+
+@pytest.fixture
+def gone(monkeypatch):
+    """Times at which nothing is there, a set to add to."""
+    times: set[float] = set()
+
+    def looked(model, frames, i, t):
+        seen = look(model, frames, i, t)
+        return seen._replace(depth=np.zeros_like(seen.depth)) if t in times else seen
+
+    monkeypatch.setattr("e4dgs.stages.exports.mesh.look", looked)
+    return times
+
+
+@needs_open3d
+def test_a_time_without_a_surface_is_an_empty_mesh_among_others(posed, model, gone):
+    gone |= {0.0, 1.0}
+    size = Size(0.1, 20.0)
+    made = list(fuse_all(model, posed[1], [0.0, 0.5, 1.0], size))
+    assert [len(one.triangles) > 0 for one in made] == [False, True, False]
+    assert (made[0].vertices.shape, made[0].colors.shape) == ((0, 3), (0, 4))
+    with pytest.raises(StageError, match="no surface at time 1"):
+        list(fuse_all(model, posed[1], [0.0, 1.0], size))
+
+
+def test_the_size_is_that_of_several_times(posed, model, gone):
+    gone |= {0.0, 0.5, 1.0}
+    frames = posed[1]
+    assert size_of(model, frames, 0.0, 0.25) == size_of(model, frames, 0.25)
+    assert size_of(model, frames, *[0.0] * 3, 0.25, *[0.0] * 4) == size_of(model, frames, 0.25), "which none of the five is"
+    with pytest.raises(StageError, match="solid at any of 3 times"):
+        size_of(model, frames, 0.0, 0.5, 1.0)
 
 
 @needs_open3d

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
+from e4dgs.stages.exports.mesh import look
 from e4dgs.workflows.cli import main
 from open3d_here import needs_open3d
 from scipy.spatial import ConvexHull
@@ -54,6 +55,21 @@ def test_several_times_are_numbered_files_or_one_that_plays(finished, tmp_path):
     read = trimesh.load(tmp_path / "scene.glb", process=False)
     sizes = [len(trimesh.load(f, process=False).vertices) for f in files]
     assert [len(shape.vertices) for shape in read.geometry.values()] == sizes
+
+
+@needs_open3d
+@pytest.mark.parametrize("out", ["a.glb", "folder"])
+def test_a_time_without_a_surface_is_said_and_the_others_are_there(finished, tmp_path, monkeypatch, capsys, out):
+    def looked(model, frames, i, t):
+        seen = look(model, frames, i, t)
+        return seen if t else seen._replace(depth=np.zeros_like(seen.depth))
+
+    monkeypatch.setattr("e4dgs.stages.exports.mesh.look", looked)
+    assert export(finished, "--times", 2, "--voxel", 0.15, "--out", tmp_path / out) == 0
+    assert "note: no surface at 1 of 2 times, first at time 0; there the mesh is empty" in " ".join(capsys.readouterr().out.split())
+    if out == "folder":
+        first, last = sorted((tmp_path / out).glob("*.ply"))
+        assert b"element face 0\n" in first.read_bytes() and len(trimesh.load(last).faces) > 0
 
 
 @pytest.mark.parametrize("out", ["a.glb", "a.ply", "folder"])

@@ -84,7 +84,7 @@ def mesh(
     count = trained.moments(times) if every or times is not None else 1
     moments = [0.5 if time is None else time] if count == 1 else [float(t) for t in np.linspace(0, 1, count)]
 
-    from ...stages.exports.mesh import fuse, fused_views, hulls, size_of
+    from ...stages.exports.mesh import fuse_all, fused_views, hulls, size_of
     from ...stages.exports.splats import turn_of
 
     turn = turn_of(trained.frames, axis, UP[ending])
@@ -96,15 +96,19 @@ def mesh(
         with Progress(count, "export", console) as bar, writing(target):
             triangles = write_meshes(trained, (hulls(trained.model, t, bar.advance) for t in moments), moments, target, single, turn)
     else:
-        size = size_of(trained.model, trained.frames, moments[0])
+        size = size_of(trained.model, trained.frames, *moments)
         size = size if voxel is None else size._replace(voxel=voxel)
         made = f"voxels of {size.voxel:.3g} world units"
         with Progress(count * len(fused_views(trained.frames)), "export", console) as bar, writing(target):
-            meshes = (fuse(trained.model, trained.frames, t, size, bar.advance) for t in moments)
+            meshes = fuse_all(trained.model, trained.frames, moments, size, bar.advance)
             triangles = write_meshes(trained, meshes, moments, target, single, turn)
+    empty = [k for k, number in enumerate(triangles) if not number]
+    notes = list(trained.thinned(count, times))
+    if empty:
+        notes.append(f"note: no surface at {len(empty)} of {count} times, first at time {moments[empty[0]]:g}; there the mesh is empty")
     least, most = min(triangles), max(triangles)
     said = (counted(most, "triangle") if least == most else f"{least} to {most} triangles") + (f" at {count} times" if count > 1 else "")
-    say(f"{said}; {made}", *trained.thinned(count, times), axes_line(turn, trained.frames), f"mesh: {target}")
+    say(f"{said}; {made}", *notes, axes_line(turn, trained.frames), f"mesh: {target}")
 
 
 def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool, turn: Turn) -> list[int]:
