@@ -24,6 +24,11 @@ class Mesh:
     colors: np.ndarray
     triangles: np.ndarray
 
+    @property
+    def bytes_in_glb(self) -> int:
+        """Bytes of its arrays in `mesh_glb_bytes`."""
+        return 20 * len(self.vertices) + 12 * len(self.triangles)
+
     @classmethod
     def empty(cls) -> Mesh:
         return cls(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32), np.zeros((0, 3), np.int32))

@@ -10,6 +10,7 @@ import numpy as np
 
 FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125  # component types of glTF 2.0
 VERTICES, CORNERS = 34962, 34963  # buffer targets: vertex attributes, and vertex indices
+MOST_BYTES = 2**32 - 1  # of a file, whose length is an unsigned number of 32 bits
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
@@ -46,12 +47,14 @@ class Glb:
         return len(self._accessors) - 1
 
     def bytes(self, content: Mapping[str, object]) -> bytes:
-        """The file: the JSON ``content`` and the arrays it refers to."""
+        """The file: the JSON ``content`` and the arrays it refers to. Raises ValueError if that is more than a .glb file can hold."""
         whole: dict[str, object] = {"asset": {"version": "2.0", "generator": "e4dgs"}, **content}
         if self._parts:
             whole |= {"accessors": self._accessors, "bufferViews": self._views, "buffers": [{"byteLength": self._offset}]}
         text = json.dumps(whole, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
+        if (size := 12 + 8 + len(text) + 8 + self._offset) > MOST_BYTES:
+            raise ValueError(f"it would take {size / 1e9:.2f} GB, and a .glb file holds {MOST_BYTES / 1e9:.2f} GB at most")
         binary = b"".join(self._parts)
         chunks = struct.pack("<II", len(text), JSON_CHUNK) + text
         if binary:

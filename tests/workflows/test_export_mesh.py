@@ -12,6 +12,7 @@ import trimesh
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.stages.exports.mesh import look
 from e4dgs.workflows.cli import main
+from e4dgs.workflows.exports.mesh import MARGIN
 from open3d_here import needs_open3d
 from scipy.spatial import ConvexHull
 
@@ -79,6 +80,29 @@ def test_hulls_of_nothing_are_an_error(finished, tmp_path, monkeypatch, capsys, 
     assert export(finished, "--convexes", "--time", 0.25, "--out", tmp_path / out) != 0
     said = " ".join(capsys.readouterr().err.split())
     assert "nothing is visible at time 0.25" in said and "--time" in said and not list(tmp_path.iterdir())
+
+
+def test_a_glb_that_grows_too_large_is_refused_before_its_end(finished, tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def counting(model, t, advance):
+        asked.append(t)
+        return tetrahedron(t)
+
+    assert tetrahedron(0).bytes_in_glb == 4 * (3 * 4 + 4 * 2) + 4 * 3 * 4
+    monkeypatch.setattr("e4dgs.stages.exports.mesh.hulls", counting)
+    monkeypatch.setattr("e4dgs.scene.formats.glb.MOST_BYTES", 5 * MARGIN + 500)
+    assert export(finished, "--convexes", "--times", 5, "--out", tmp_path / "a.glb") == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "a.glb: up to time 0.75" in said and ".ply" in said and "--voxel" in said and "--times" in said and not list(tmp_path.iterdir())
+    assert asked == [0.0, 0.25, 0.5, 0.75], "as soon as it is known"
+    with pytest.raises(ValueError, match=r"a \.glb file holds 0\.00 GB at most"):
+        mesh_glb_bytes([tetrahedron(0)] * 20, range(20))
+
+
+def test_what_a_glb_has_beside_its_meshes_takes_no_more_than_is_kept_for_it():
+    meshes = [tetrahedron(k) for k in range(100)]
+    assert len(mesh_glb_bytes(meshes, [k / 3 for k in range(100)])) - sum(one.bytes_in_glb for one in meshes) < 100 * MARGIN
 
 
 def test_what_brings_open3d_is_named_where_it_is_not_there(finished, tmp_path, monkeypatch, capsys):

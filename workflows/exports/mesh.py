@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ...pipeline import Progress, SettingsError, counted, say
+from ...pipeline import Progress, SettingsError, StageError, counted, say
 from ...pipeline.files import write_atomically
 from ..machine.places import typed_output
 from ..options import of_last_run
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from ...scene.mesh import Mesh
 
 ENDINGS = (".glb", ".ply")
+MARGIN = 2000  # bytes of a .glb file for each time beside its arrays: its JSON and animation
 USUAL_RATE = 24.0  # times per second for a capture without seconds
 UP = {".glb": "Y", ".ply": "Z"}  # glTF says +Y is up; Blender and CloudCompare take +Z for up in a .ply file
 
@@ -111,6 +112,22 @@ def mesh(
     say(f"{said}; {made}", *notes, axes_line(turn, trained.frames), f"mesh: {target}")
 
 
+def _fitting(meshes: Iterable[Mesh], moments: Sequence[float], target: Path) -> Iterator[Mesh]:
+    """``meshes``, as they come. Raises StageError as soon as a .glb file cannot hold them."""
+    from ...scene.formats.glb import MOST_BYTES
+
+    size = 0
+    for t, one in zip(moments, meshes):
+        size += one.bytes_in_glb
+        if target.suffix.lower() == ".glb" and size > MOST_BYTES - MARGIN * len(moments):
+            took, most = f"{size / 1e9:.2f} GB", f"{MOST_BYTES / 1e9:.2f} GB"
+            raise StageError(
+                f"export mesh: {target}: up to time {t:g} its meshes take {took}, and a .glb file holds {most} at most; "
+                "name a folder, for a .ply file a time, or give fewer --times or, without --convexes, a larger --voxel"
+            )
+        yield one
+
+
 def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool, turn: Turn) -> list[int]:
     """Writes ``meshes`` at ``moments`` in [0, 1] to ``target``: a .glb file with all of them, a .ply file with one, or a folder of numbered
     .ply files in place of those of an earlier export. turn: from the capture's axes to those of the files. Returns the number of triangles
@@ -121,7 +138,7 @@ def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[flo
     from ...stages.exports.splats import origin_of
 
     if single:
-        whole = list(meshes)
+        whole = list(_fitting(meshes, moments, target))
         if not any(len(one.triangles) for one in whole):
             raise nothing_visible("mesh", moments)
     if single and target.suffix.lower() == ".glb":
