@@ -100,14 +100,16 @@ test("a browser that cannot unpack is told so, not that the scene is damaged", a
   }
 });
 
+function send(to, name, fields) {
+  const event = new Event(name, { cancelable: true });
+  for (const [key, value] of Object.entries({ target: { tagName: "CANVAS" }, ...fields })) Object.defineProperty(event, key, { value });
+  to.dispatchEvent(event);
+  return event.defaultPrevented;
+}
+
 test("a pinch goes nearer as fingers part, held keys repeat no command, and none stays down", async () => {
   const { Controls } = await load("controls"), canvas = new EventTarget(), page = new EventTarget(), did = [], near = [];
   globalThis.addEventListener = page.addEventListener.bind(page);
-  const send = (to, name, fields) => {
-    const event = new Event(name, { cancelable: true });
-    for (const [key, value] of Object.entries({ target: { tagName: "CANVAS" }, ...fields })) Object.defineProperty(event, key, { value });
-    to.dispatchEvent(event);
-  };
   const camera = { approach: (factor) => near.push(factor) };
   const player = { camera, changed() {}, toggle: () => did.push("toggle"), step: (frames) => did.push(frames) };
   const controls = new Controls(canvas, player);
@@ -120,6 +122,31 @@ test("a pinch goes nearer as fingers part, held keys repeat no command, and none
   assert.ok(controls.busy);
   send(page, "keyup", { code: "MetaLeft", key: "Meta" });
   assert.ok(!controls.busy);
+});
+
+test("commands go by what is typed on any keyboard, and flying by the place of its keys", async () => {
+  const { Controls } = await load("controls"), page = new EventTarget(), did = [];
+  globalThis.addEventListener = page.addEventListener.bind(page);
+  const note = (name) => (...values) => did.push([name, ...values].join(" "));
+  const player = { photo: 5, loop: true, mode: "orbit", changed() {} };
+  for (const name of ["toggle", "fullScreen", "setLoop", "setMode", "jump", "step", "help"]) player[name] = note(name);
+  const controls = new Controls(new EventTarget(), player), altGr = { getModifierState: (name) => name === "AltGraph" };
+  const does = (code, key, more = {}) => (did.length = 0, send(page, "keydown", { code, key, ...more }), did.join());
+  assert.equal(does("Digit8", "[", { ctrlKey: true, altKey: true }), "jump 4", "German on Windows");
+  assert.equal(does("Digit9", "]", altGr), "jump 6", "German on Linux");
+  assert.equal(does("Digit5", "[", { altKey: true }), "jump 4", "German on a Mac");
+  assert.equal(does("KeyF", "[", { altKey: true, ctrlKey: true }), "jump 4", "Hungarian");
+  assert.equal(does("KeyM", ","), "step -1", "French");
+  assert.equal(does("Comma", "."), "step 1", "French, with shift");
+  assert.equal(does("Semicolon", "m"), "", "French: no command");
+  assert.equal(does("BracketLeft", "х") + does("Period", "ю") + does("KeyF", "а"), "jump 4step 1fullScreen", "Russian");
+  assert.equal(does("KeyP", "p") + does("KeyN", "N", { repeat: true }) + does("Minus", "?"), "jump 4jump 6help");
+  assert.equal(does("Space", " ") + does("KeyO", "o") + does("KeyL", "l"), "togglesetMode flysetLoop false");
+  assert.equal(does("KeyF", "ƒ", { altKey: true }) + does("KeyF", "f", { ctrlKey: true }) + does("BracketLeft", "[", { metaKey: true }), "");
+  assert.equal(does("BracketLeft", "[", { ctrlKey: true }) + does("ArrowLeft", "ArrowLeft", { altKey: true }) + does("KeyP", "p", { ctrlKey: true }), "");
+  assert.ok(!controls.busy);
+  does("KeyW", "z"), does("KeyA", "q");
+  assert.deepEqual([...controls.held], ["KeyW", "KeyA"], "French");
 });
 
 test("an eye of a headset sees what a camera of the page sees", async () => {

@@ -4,7 +4,11 @@ const KEYS = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0,
 const TURN = 0.005;  // radians a px of dragging
 const PACE = 0.6;    // of the distance to the target, a second of flying
 const WHEEL = 0.0012, PINCH = 0.01;  // of ln distance; browsers tell a pinch on a trackpad as a wheel with ctrl, by 100 times its ln
-const AGAIN = ["Comma", "Period", "BracketLeft", "BracketRight"];  // what acts again while its key is held
+const SIGNS = { Comma: ",", Period: ".", BracketLeft: "[", BracketRight: "]" };  // of the keys that have them on a US keyboard
+const AGAIN = [...Object.values(SIGNS), "p", "n"];  // what acts again while its key is held
+
+// What was typed, whatever the keyboard's layout: a sign or a small letter. Where letters are not Latin, it is that of the US keyboard's key.
+const typed = ({ key, code }) => (/^[ -~]$/.test(key) ? key.toLowerCase() : SIGNS[code] ?? /^Key([A-Z])$/.exec(code)?.[1].toLowerCase());
 
 export class Controls {
   // player: camera, mode ("orbit" or "fly"), changed(), and what `#key` calls.
@@ -59,22 +63,23 @@ export class Controls {
   #key(event) {
     const on = event.target.tagName, pressing = event.code === "Space" || event.code === "Enter";
     if (event.code === "Escape") return this.player.help(false);
-    if (event.ctrlKey || event.metaKey || event.altKey || on === "SELECT") return;
+    // Many keyboards have brackets only with AltGr, which may be told as ctrl and alt, or with Option.
+    const bracket = (event.key === "[" || event.key === "]") && (event.altKey || event.getModifierState?.("AltGraph"));
+    if (event.metaKey || ((event.ctrlKey || event.altKey) && !bracket) || on === "SELECT") return;
     if ((on === "BUTTON" && pressing) || (on === "INPUT" && event.code.startsWith("Arrow"))) return;
-    const { player } = this, { camera } = player;
+    const { player } = this, { camera } = player, name = typed(event);
     const arrows = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.code];
+    const before = () => player.jump(player.photo - 1), after = () => player.jump(player.photo + 1), help = () => player.help();
     const acts = {
-      Space: () => player.toggle(), KeyF: () => player.fullScreen(), KeyL: () => player.setLoop(!player.loop), KeyR: () => player.jump(player.photo),
-      KeyO: () => player.setMode(player.mode === "orbit" ? "fly" : "orbit"), BracketLeft: () => player.jump(player.photo - 1),
-      BracketRight: () => player.jump(player.photo + 1), Comma: () => player.step(-1), Period: () => player.step(1), KeyH: () => player.help(),
+      " ": () => player.toggle(), f: () => player.fullScreen(), l: () => player.setLoop(!player.loop), r: () => player.jump(player.photo),
+      o: () => player.setMode(player.mode === "orbit" ? "fly" : "orbit"), "[": before, p: before, "]": after, n: after,
+      ",": () => player.step(-1), ".": () => player.step(1), h: help, "?": help,
     };
-    if (KEYS[event.code]) this.held.add(event.code);
+    if (KEYS[event.code] && !bracket) this.held.add(event.code);  // by their places, the same on every keyboard
     else if (arrows) camera.turn(0.06 * arrows[0], 0.06 * arrows[1], player.mode === "orbit");
-    else if (acts[event.code]) {
-      if (!event.repeat || AGAIN.includes(event.code)) acts[event.code]();
-    }
-    else if (event.key === "?") player.help();
-    else return;
+    else if (acts[name]) {
+      if (!event.repeat || AGAIN.includes(name)) acts[name]();
+    } else return;
     event.preventDefault();
     player.changed();
   }
