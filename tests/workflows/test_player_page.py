@@ -246,6 +246,33 @@ def test_a_headset_gets_a_picture_for_each_eye(opened, file):
     assert psnr(*eyes) < 35
 
 
+NO_SCREEN = """
+Object.defineProperty(Document.prototype, "fullscreenEnabled", { value: undefined });
+delete Element.prototype.requestFullscreen;
+"""
+REFUSES = """
+Element.prototype.requestFullscreen = async () => { throw new TypeError("not here"); };
+navigator.xr.requestSession = async () => { throw new Error("The headset is asleep."); };
+"""
+
+
+def test_what_a_browser_refuses_is_said_and_the_message_ends(opened, file):
+    shown = opened(file, before=NO_SCREEN)
+    assert not visible(shown, "#full")
+    message = shown.page.locator("#message")
+    shown.page.keyboard.press("KeyF")
+    assert visible(shown, "#message") and "may not fill the screen" in message.inner_text()
+    message.wait_for(state="hidden", timeout=20_000)
+    assert not shown.errors
+    shown = opened(file, before=HEADSET + REFUSES)
+    message = shown.page.locator("#message")
+    for button, words in (("#full", "may not fill the screen"), ("#stereo", "asleep")):
+        shown.page.click(button)
+        shown.page.locator("#message", has_text=words).wait_for(timeout=10_000)
+    message.wait_for(state="hidden", timeout=20_000)
+    assert not shown.errors
+
+
 def eye_of(view: Camera, x: float) -> Camera:
     """The camera of an eye ``x`` metres to the right of ``view``, which is levelled; the origin, at which it looks, is 2 m away."""
     pose, up = view.cam_from_world.double().numpy(), np.array(ABOUT["up"])

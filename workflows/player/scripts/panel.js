@@ -1,6 +1,8 @@
 // The controls below the picture, and what is said above it.
 import { layersOf } from "./layout.js";
 
+const NOTE = 6000;  // ms for which a message is seen that ends by itself
+
 const find = (id) => document.getElementById(id);
 
 export class Panel {
@@ -13,6 +15,7 @@ export class Panel {
     find("speed").onchange = (event) => player.setSpeed(Number(event.target.value));
     find("loop").onclick = () => player.setLoop(!player.loop);
     find("mode").onclick = () => player.setMode(player.mode === "orbit" ? "fly" : "orbit");
+    find("full").hidden = !document.fullscreenEnabled;  // a telephone's browser or a frame of another page may have none
     find("full").onclick = () => player.fullScreen();
     find("help").onclick = () => player.help();
     const photos = find("photo");
@@ -54,6 +57,12 @@ export function say(message, serious = false) {
   box.textContent = message;
   box.hidden = !message;
   box.classList.toggle("serious", serious);
+}
+
+// A message that ends by itself.
+export function note(message) {
+  say(message);
+  setTimeout(() => find("message").textContent === message && say(""), NOTE);
 }
 
 export function showHelp(show = find("keys").hidden) {

@@ -1,7 +1,7 @@
 // The player: what is shown (camera, time), when it is sorted and drawn, and what `window.e4dgs` offers.
 import { Camera, checkView } from "./camera.js";
 import { Controls } from "./controls.js";
-import { Panel, bare, say, showHelp } from "./panel.js";
+import { Panel, bare, note, say, showHelp } from "./panel.js";
 import { Renderer } from "./renderer.js";
 import { startSorter } from "./sorter.js";
 import { Stereo, hasStereo } from "./stereo.js";
@@ -40,7 +40,7 @@ export class Player {
     this.controls = new Controls(this.canvas, this);
     this.panel = new Panel(this, scene);
     this.stereo = new Stereo(this);
-    hasStereo().then((there) => this.panel.offerStereo(there, () => this.stereo.toggle().catch((error) => say(error.message))));
+    hasStereo().then((there) => this.panel.offerStereo(there, () => this.stereo.toggle().catch((error) => note(error.message))));
     this.windows = new Windows(scene.header, address, (k, more) => this.#add(k, more));
     const missing = await this.windows.at(this.time).then(() => "", ({ message }) => message);
     if (this.renderer.software) this.scale = COARSEST;  // else the first picture, too, would take seconds
@@ -137,8 +137,10 @@ export class Player {
   }
 
   fullScreen() {
+    const refused = () => note("This page may not fill the screen here.");
     if (document.fullscreenElement) document.exitFullscreen();
-    else document.documentElement.requestFullscreen?.().catch(() => say("This page may not fill the screen here."));
+    else if (document.fullscreenEnabled) document.documentElement.requestFullscreen().catch(refused);
+    else refused();
   }
 
   // Draws exactly this picture, without controls over it. time in [0, 1]; cam_from_world 16 and K 9 numbers, row by row, OpenCV axes, px.
