@@ -149,6 +149,18 @@ test("commands go by what is typed on any keyboard, and flying by the place of i
   assert.deepEqual([...controls.held], ["KeyW", "KeyA"], "French");
 });
 
+test("an address asks for what it may, and what is refused is said", async () => {
+  const { askedIn } = await load("camera"), said = [], read = (hash) => askedIn(hash, 3, (words) => said.push(words));
+  assert.deepEqual(read("#time=0.3&camera=2&play=0&controls=0"), { time: 0.3, camera: 2, play: false, controls: false });
+  assert.deepEqual([read(""), read("#"), read("#play=1&controls=1&time=1")], [{}, {}, { play: true, controls: true, time: 1 }]);
+  assert.deepEqual(said, []);
+  const bad = ["time=", "time=1.1", "time=NaN", "camera=0", "camera=4", "camera=1.5", "play=yes", "controls=", "toString=1", "top", "play=toString"];
+  assert.deepEqual(read(`#${bad.join("&")}&time=0.5`), { time: 0.5 });
+  assert.equal(said.length, bad.length);
+  assert.match(said[1], /"time=1.1" .* must be a number in \[0, 1\]/);
+  assert.match(said[9], /"top=" .* must be one of time, camera, controls, play/);
+});
+
 test("an eye of a headset sees what a camera of the page sees", async () => {
   const { eyeView, hasStereo, standAt } = await load("stereo"), near = (a, b) => a.forEach((x, k) => assert.ok(Math.abs(x - b[k]) < 1e-9, `${a} ${b}`));
   const place = standAt({ eye: [0, 0, -3], forward: [0, 0, 1], right: [1, 0, 0], up: [0, -1, 0], distance: 3 });  // OpenCV's axes, level

@@ -39,7 +39,7 @@ def about(count=2):
 class Page:
     """A page of the player with its own `window.e4dgs`; ``outside`` are the addresses that it asked for."""
 
-    def __init__(self, browser, folder, data: bytes, play=False, poster=None, size=(500, 400), cut=len, before=""):
+    def __init__(self, browser, folder, data: bytes, play=False, poster=None, size=(500, 400), cut=len, before="", address=""):
         self.file = folder / "scene.html"
         text = page("made", data, poster, (1.0, 0.9, 0.8), play)
         written = text[: cut(text)]
@@ -47,10 +47,11 @@ class Page:
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]})
         if before:
             self.page.add_init_script(before)
-        self.outside, self.errors = [], []
+        self.outside, self.errors, self.said = [], [], []
+        self.page.on("console", lambda message: self.said.append(message.text))
         self.page.on("request", lambda asked: self.outside.append(asked.url))
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
-        self.page.goto(self.file.as_uri())
+        self.page.goto(self.file.as_uri() + address)
         if len(written) >= text.index('<script type="text/plain" id="scene">'):  # a script that was cut does not run
             self.page.wait_for_selector("body.ready, body.failed", timeout=60_000)
 
@@ -80,7 +81,7 @@ def opened(browser, tmp_path):
     yield open_it
     for one in pages:
         one.page.close()
-        asked = [url for url in one.outside if url != one.file.as_uri() and not url.startswith(("blob:", "data:"))]
+        asked = [url for url in one.outside if url.partition("#")[0] != one.file.as_uri() and not url.startswith(("blob:", "data:"))]
         assert not asked, "nothing is asked of others"
 
 
@@ -244,6 +245,31 @@ def test_a_headset_gets_a_picture_for_each_eye(opened, file):
     for x, eye in zip((-0.032, 0.032), eyes):
         assert psnr(eye, shown.show(eye_of(camera(0.0), x), 0.0)) > 45
     assert psnr(*eyes) < 35
+
+
+def test_the_address_chooses_camera_time_and_controls(opened, file):
+    shown = opened(file, play=True, address="#time=0.3&camera=2&play=0&controls=0&speed=9")
+    page = shown.page
+    page.wait_for_timeout(600)
+    drawn = shown.picture()
+    assert (time_of(shown), page.input_value("#photo"), page.get_attribute("#play", "aria-label")) == (0.3, "1", "Play")
+    assert not visible(shown, "#bar") and [text for text in shown.said if "speed=9" in text]
+    page.keyboard.press("KeyF")
+    page.wait_for_function("document.fullscreenElement")
+    assert not visible(shown, "#bar")
+    page.keyboard.press("KeyF")
+    page.keyboard.press("KeyH")
+    page.keyboard.press("KeyC")
+    assert visible(shown, "#bar") and visible(shown, "#keys")
+    page.keyboard.press("KeyC")
+    assert not visible(shown, "#bar") and not visible(shown, "#keys")
+    page.evaluate("location.hash = '#controls=1&time=0.6&camera=1'")
+    page.wait_for_timeout(600)
+    assert (time_of(shown), page.input_value("#photo"), visible(shown, "#bar")) == (0.6, "0", True)
+    assert psnr(shown.picture(), drawn) < 40 and not shown.errors
+    playing = opened(file, address="#play=1")
+    playing.page.wait_for_timeout(600)
+    assert time_of(playing) > 0
 
 
 NO_SCREEN = """

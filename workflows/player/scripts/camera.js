@@ -121,3 +121,20 @@ export function isRigid(m) {
   const off = [dot(x, x) - 1, dot(y, y) - 1, dot(z, z) - 1, dot(x, y), dot(turned, z) - 1, m[12], m[13], m[14], m[15] - 1];
   return off.every((one) => Math.abs(one) <= RIGID);
 }
+
+// What the page's address asks for after its "#", which works without a server too: `time=0.3&camera=2&play=0&controls=0`. cameras: how many
+// there are; they count from 1. What is refused is left out, and `warn` hears why.
+export function askedIn(hash, cameras, warn) {
+  const between = (from, to) => (text) => (text.trim() && Number(text) >= from && Number(text) <= to ? Number(text) : null);
+  const camera = (text) => (/^\d+$/.test(text) ? between(1, cameras)(text) : null), onOrOff = (text) => (text === "0" || text === "1" ? text === "1" : null);
+  const known = { time: [between(0, 1), "a number in [0, 1]"], camera: [camera, `one of the scene's ${cameras} cameras, from 1 on`] };
+  known.play = known.controls = [onOrOff, "0 or 1"];
+  const found = {};
+  for (const [name, text] of new URLSearchParams(hash.slice(1))) {
+    const [read, words] = Object.hasOwn(known, name) ? known[name] : [() => null, `one of ${Object.keys(known).join(", ")}, each with a value`];
+    const value = read(text);
+    if (value === null) warn(`The page's address: "${name}=${text}" after # is left out; it must be ${words}.`);
+    else found[name] = value;
+  }
+  return found;
+}

@@ -73,7 +73,7 @@ export class Controls {
     const acts = {
       " ": () => player.toggle(), f: () => player.fullScreen(), l: () => player.setLoop(!player.loop), r: () => player.jump(player.photo),
       o: () => player.setMode(player.mode === "orbit" ? "fly" : "orbit"), "[": before, p: before, "]": after, n: after,
-      ",": () => player.step(-1), ".": () => player.step(1), h: help, "?": help,
+      ",": () => player.step(-1), ".": () => player.step(1), h: help, "?": help, c: () => player.toggleControls(),
     };
     if (KEYS[event.code] && !bracket) this.held.add(event.code);  // by their places, the same on every keyboard
     else if (arrows) camera.turn(0.06 * arrows[0], 0.06 * arrows[1], player.mode === "orbit");

@@ -1,4 +1,5 @@
 // The page: finds the scene's data, opens them, and offers `window.e4dgs`.
+import { askedIn } from "./camera.js";
 import { Player, fail } from "./player.js";
 import { say } from "./panel.js";
 import { fetched } from "./windows.js";
@@ -26,13 +27,14 @@ function fromBase64(text) {
 
 export function start() {
   const canvas = document.getElementById("canvas"), player = new Player(canvas);
+  const take = (usual = {}) => player.take({ ...usual, ...askedIn(location.hash, player.scene.header.cameras.length, console.warn) });
   const ready = (async () => {
     say("Opening the scene…");
     const bytes = await data();
     player.bytes = bytes.length;
-    await player.open(bytes, document.body.dataset.scene ?? "");
+    await player.open(bytes, document.body.dataset.scene ?? "", () => take({ play: document.body.dataset.play === "true" }));
     document.body.classList.add("ready");
-    if (document.body.dataset.play === "true") player.play();
+    addEventListener("hashchange", () => take());
   })();
   ready.catch(fail);
   window.e4dgs = {

@@ -69,6 +69,12 @@ export function showHelp(show = find("keys").hidden) {
   find("keys").hidden = !show;
 }
 
+// show: whether the controls shall be seen; by default if they are not.
+export function showControls(show = document.body.classList.contains("plain")) {
+  document.body.classList.toggle("plain", !show);
+  if (!show) showHelp(false);
+}
+
 // In a picture that somebody asked for, nothing lies over it.
 export function bare(on) {
   document.body.classList.toggle("bare", on);

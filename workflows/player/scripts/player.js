@@ -1,7 +1,7 @@
 // The player: what is shown (camera, time), when it is sorted and drawn, and what `window.e4dgs` offers.
 import { Camera, checkView } from "./camera.js";
 import { Controls } from "./controls.js";
-import { Panel, bare, note, say, showHelp } from "./panel.js";
+import { Panel, bare, note, say, showControls, showHelp } from "./panel.js";
 import { Renderer } from "./renderer.js";
 import { startSorter } from "./sorter.js";
 import { Stereo, hasStereo } from "./stereo.js";
@@ -23,8 +23,8 @@ export class Player {
     this.scale = 1, this.asked = null, this.touched = 0, this.now = 0, this.drew = false;
   }
 
-  // bytes: the scene's file. address: where it came from, beside which its windows lie, if it has any.
-  async open(bytes, address) {
+  // bytes: the scene's file. address: where it came from, beside which its windows lie, if it has any. begin: called before the first picture.
+  async open(bytes, address, begin) {
     const { scene, sorter } = await startSorter(bytes);
     this.scene = scene, this.sorter = sorter, this.bytes = bytes.length || this.bytes;
     this.seconds = scene.header.seconds || (scene.header.motion === "static" ? 0 : USUAL_SECONDS);
@@ -42,6 +42,7 @@ export class Player {
     this.stereo = new Stereo(this);
     hasStereo().then((there) => this.panel.offerStereo(there, () => this.stereo.toggle().catch((error) => note(error.message))));
     this.windows = new Windows(scene.header, address, (k, more) => this.#add(k, more));
+    begin();
     const missing = await this.windows.at(this.time).then(() => "", ({ message }) => message);
     if (this.renderer.software) this.scale = COARSEST;  // else the first picture, too, would take seconds
     await this.#drawn(this.#window(this.scale));
@@ -131,6 +132,18 @@ export class Player {
     this.changed(), this.panel.show();
   }
 
+  // What the page's address asks for: each of { camera, counted from 1, time, controls, play } that is there.
+  take({ camera, time, controls, play }) {
+    if (camera !== undefined) this.jump(camera - 1);
+    if (time !== undefined) this.seek(time);
+    if (controls !== undefined) showControls(controls);
+    if (play !== undefined) play ? this.play() : this.pause();
+  }
+
+  toggleControls() {
+    showControls();
+  }
+
   // show: whether the list of keys shall be seen; by default if it is not.
   help(show) {
     showHelp(show);
@@ -199,7 +212,7 @@ export class Player {
 
   #loop() {
     requestAnimationFrame(async (now) => {
-      const seconds = Math.min((now - this.now) / 1000, 0.5);
+      const seconds = Math.min((now - (this.now || now)) / 1000, 0.5);
       this.now = now;
       try {
         await this.#frame(seconds);
