@@ -114,10 +114,17 @@ test("a pinch goes nearer as fingers part, held keys repeat no command, and none
   const player = { camera, changed() {}, toggle: () => did.push("toggle"), step: (frames) => did.push(frames) };
   const controls = new Controls(canvas, player);
   for (let k = 0; k < 10; ++k) send(canvas, "wheel", { deltaY: -10 * Math.log(2), ctrlKey: true });  // browsers: -100 ln of the spread
-  assert.ok(Math.abs(near.reduce((a, b) => a * b) - 0.5) < 1e-9);
+  assert.ok(Math.abs(near.splice(0).reduce((a, b) => a * b) - 0.5) < 1e-9);
+  for (const [name, scale] of [["start", 1], ["change", 1.25], ["change", 2], ["end", 2], ["start", 1], ["change", 2]])  // Safari on a Mac
+    assert.ok(send(canvas, `gesture${name}`, { scale }), "the page itself is not zoomed");
+  assert.ok(Math.abs(near.splice(0).reduce((a, b) => a * b) - 0.25) < 1e-9);
+  canvas.setPointerCapture = canvas.focus = () => {};
+  send(canvas, "pointerdown", { pointerId: 1, clientX: 0, clientY: 0 });
+  assert.ok(send(canvas, "gesturechange", { scale: 4 }) && !near.length, "fingers on a screen");
   for (const repeat of [false, true, true]) send(page, "keydown", { code: "Space", key: " ", repeat });
   for (const repeat of [false, true]) send(page, "keydown", { code: "Period", key: ".", repeat });
   assert.deepEqual(did, ["toggle", 1, 1]);
+  send(canvas, "pointerup", { pointerId: 1 });
   send(page, "keydown", { code: "KeyW", key: "w" });
   assert.ok(controls.busy);
   send(page, "keyup", { code: "MetaLeft", key: "Meta" });

@@ -31,6 +31,14 @@ export class Controls {
       player.camera.approach(Math.exp(Math.max(-0.4, Math.min(0.4, way))));
       player.changed();
     }, { passive: false });
+    // Safari on a Mac tells a pinch on a trackpad so; of one on a screen, the pointers tell as well.
+    for (const name of ["gesturestart", "gesturechange", "gestureend"]) on(name, (event) => {
+      event.preventDefault();
+      const spread = Math.max(event.scale, 0.01);
+      if (name === "gesturechange" && !this.pointers.size) player.camera.approach(this.spread / spread);
+      this.spread = spread;
+      player.changed();
+    });
     addEventListener("keydown", (event) => this.#key(event));
     addEventListener("keyup", ({ key, code }) => {
       if (key === "Meta") this.held.clear();  // macOS tells of no other key that is let go while this one is down
