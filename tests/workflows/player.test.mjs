@@ -156,6 +156,21 @@ test("commands go by what is typed on any keyboard, and flying by the place of i
   assert.deepEqual([...controls.held], ["KeyW", "KeyA"], "French");
 });
 
+test("a picture has the pixels that a device draws in time, and fewer after one that failed", async () => {
+  const { Pixels } = await load("gpu"), pixels = new Pixels(4096, false);
+  assert.deepEqual(pixels.of(1000, 500, false), [1000, 500]);
+  assert.deepEqual(pixels.of(8192, 2048, false), [4096, 1024], "no more than the device can");
+  assert.deepEqual(pixels.of(0, 0, false), [1, 1]);
+  pixels.took(180);
+  assert.deepEqual([pixels.of(1000, 500, true), pixels.of(1000, 500, false)], [[600, 300], [1000, 500]]);
+  assert.deepEqual(new Pixels(4096, true).of(1000, 500, true), [400, 200]);
+  assert.ok(pixels.overcome(new Error("once")));
+  assert.deepEqual(pixels.of(1000, 500, false), [1000, 500]);
+  assert.ok(pixels.overcome(new RangeError("too large")));
+  assert.deepEqual([pixels.of(1000, 500, false), pixels.of(500, 250, false)], [[707, 354], [500, 250]]);
+  assert.ok(pixels.overcome(new Error()) && pixels.overcome(new Error()) && !pixels.overcome(new Error()), "the fifth in a row");
+});
+
 test("an address asks for what it may, and what is refused is said", async () => {
   const { askedIn } = await load("camera"), said = [], read = (hash) => askedIn(hash, 3, (words) => said.push(words));
   assert.deepEqual(read("#time=0.3&camera=2&play=0&controls=0"), { time: 0.3, camera: 2, play: false, controls: false });

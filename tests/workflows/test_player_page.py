@@ -364,6 +364,53 @@ def test_a_lost_graphics_device_comes_back_with_the_same_picture(opened, file):
     assert np.array_equal(shown.show(camera(0.2), 0.4), before), "it waits for the device"
 
 
+def small_buffer(most: int) -> str:
+    """A browser whose drawing buffers have at most ``most`` px a row, whatever the canvas asks for."""
+    width = f"get() {{ return Math.min(this.canvas.width, {most}); }}"
+    return f"Object.defineProperty(WebGL2RenderingContext.prototype, 'drawingBufferWidth', {{ {width} }});"
+
+
+SMALL_DEVICE = """
+const given = WebGL2RenderingContext.prototype.getParameter;
+WebGL2RenderingContext.prototype.getParameter = function (name) { return name === this.MAX_TEXTURE_SIZE ? 256 : given.call(this, name); };
+"""
+
+
+@pytest.mark.parametrize(("before", "most"), [(SMALL_DEVICE, 256), (small_buffer(300), 300), (small_buffer(90), 90)])
+def test_a_device_of_small_pictures_gets_smaller_ones(opened, file, before, most):
+    shown = opened(file, before=before)
+    shown.page.wait_for_timeout(1000)
+    width = shown.page.evaluate("e4dgs.canvas.width")
+    assert most / 2 <= width <= most and visible(shown, "#bar") and not shown.errors
+    shown.page.keyboard.press("ArrowLeft")
+    shown.page.wait_for_timeout(800)
+    assert most / 2 <= shown.page.evaluate("e4dgs.canvas.width") <= most and not visible(shown, "#message")
+
+
+def test_a_frame_that_fails_once_is_drawn_again_and_one_that_always_fails_ends_the_player(opened, file):
+    fails = "const draw = WebGL2RenderingContext.prototype; window.failing = 0; window.whole = draw.drawElements;"
+    fails += "draw.drawElements = function (...all) { if (failing-- > 0) throw new Error('no picture'); return whole.apply(this, all); };"
+    shown = opened(file, before=fails)
+    shown.page.wait_for_timeout(600)
+    before = shown.picture()
+    shown.page.evaluate("failing = 2")
+    shown.page.keyboard.press("ArrowLeft")
+    shown.page.wait_for_timeout(800)
+    assert shown.picture().shape == before.shape and psnr(shown.picture(), before) < 40
+    assert not visible(shown, "#message") and visible(shown, "#bar")
+    shown.page.evaluate("failing = Infinity")
+    shown.page.keyboard.press("ArrowLeft")
+    shown.page.locator("body.failed").wait_for(timeout=10_000)
+    assert shown.page.inner_text("#message") == "no picture" and not visible(shown, "#bar")
+
+
+def test_a_graphics_device_that_does_not_come_back_asks_for_a_reload(opened, file):
+    shown = opened(file)
+    shown.page.evaluate("e4dgs.canvas.getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()")
+    shown.page.locator("#message", has_text="waiting for it").wait_for(timeout=4000)
+    shown.page.locator("#message", has_text="Reload the page").wait_for(timeout=15_000)
+
+
 @pytest.mark.parametrize("damage", [lambda d: d[: len(d) // 2], lambda d: b"x" + d[1:], lambda d: d.replace(b"lives", b"dance", 1)])
 def test_a_damaged_scene_gives_a_message(opened, file, damage):
     shown = opened(damage(file))

@@ -2,6 +2,39 @@
 
 export const WIDTH = 4096;  // of every texture of numbers, in texels; the shaders know it
 
+const SLOW = 45, QUICK = 18;       // ms a frame from which a moving picture gets coarser, or finer again
+const STRIDE = 0.6;                // least factor by which it gets coarser at once
+const COARSEST = 0.4;              // of the screen's pixels, along each side
+const FAILURES = 5;                // frames in a row that may fail before the player gives up
+
+// How many of the screen's pixels a picture gets: fewer while it moves and the device is slow, and no more than the device can draw.
+export class Pixels {
+  // most: px along a side. software: whether there is no graphics device; then the first picture, too, would take seconds with all pixels.
+  constructor(most, software) {
+    this.most = most, this.scale = software ? COARSEST : 1;
+    this.area = Infinity, this.last = 0, this.failures = 0;
+  }
+
+  // [width, height] of a picture for `width` x `height` px of the screen.
+  of(width, height, moving) {
+    const all = Math.max(width * height, 1), scale = Math.min(moving ? this.scale : 1, this.most / Math.max(width, height, 1), Math.sqrt(this.area / all));
+    this.last = all * scale ** 2;
+    return [width, height].map((side) => Math.min(this.most, Math.max(1, Math.round(side * scale))));
+  }
+
+  // A frame of a moving picture took so long.
+  took(milliseconds) {
+    if (milliseconds > SLOW) this.scale = Math.max(COARSEST, this.scale * Math.max(STRIDE, 0.9 * Math.sqrt(SLOW / milliseconds)));
+    else if (milliseconds < QUICK) this.scale = Math.min(1, 1.1 * this.scale);
+  }
+
+  // Whether to go on after a frame that failed: with half as many pixels if they were too many.
+  overcome(error) {
+    if (error instanceof RangeError) this.area = this.last / 2;
+    return ++this.failures < FAILURES;
+  }
+}
+
 export class Program {
   constructor(gl, vertex, fragment, defines) {
     const head = "#version 300 es\nprecision highp float;\nprecision highp int;\nprecision highp usampler2D;\n";

@@ -1,7 +1,7 @@
 // The page: finds the scene's data, opens them, and offers `window.e4dgs`.
 import { askedIn } from "./camera.js";
-import { Player, fail } from "./player.js";
-import { say } from "./panel.js";
+import { Player } from "./player.js";
+import { fail, say } from "./panel.js";
 import { fetched } from "./windows.js";
 
 const CUT = "The scene's data are damaged or cut short.";
@@ -25,6 +25,14 @@ function fromBase64(text) {
   }
 }
 
+function infoOf({ scene: { header }, bytes, seconds, times, renderer }) {
+  const sum = ([a, b]) => a + b;
+  return {
+    gaussians: sum(header.gaussians), convexes: sum(header.convexes), moving: header.gaussians[1] + header.convexes[1], motion: header.motion,
+    bytes, duration: seconds, sh_degree: header.sh_degree, cameras: header.cameras.length, milliseconds: { ...times }, uploads: { ...renderer.uploads },
+  };
+}
+
 export function start() {
   const canvas = document.getElementById("canvas"), player = new Player(canvas);
   const take = (usual = {}) => player.take({ ...usual, ...askedIn(location.hash, player.scene.header.cameras.length, console.warn) });
@@ -41,7 +49,7 @@ export function start() {
     canvas,
     ready,
     get info() {
-      return player.renderer?.scene ? player.info : null;  // until the scene is there
+      return player.renderer?.scene ? infoOf(player) : null;  // until the scene is there
     },
     show: async (view) => (await ready, player.show(view)),
     play: async () => (await ready, player.play()),

@@ -59,6 +59,12 @@ export function say(message, serious = false) {
   box.classList.toggle("serious", serious);
 }
 
+// The player has come to its end.
+export function fail(error) {
+  say(error.message, true);
+  document.body.classList.add("failed");
+}
+
 // A message that ends by itself.
 export function note(message) {
   say(message);

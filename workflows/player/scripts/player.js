@@ -1,26 +1,24 @@
 // The player: what is shown (camera, time), when it is sorted and drawn, and what `window.e4dgs` offers.
 import { Camera, checkView } from "./camera.js";
 import { Controls } from "./controls.js";
-import { Panel, bare, note, say, showControls, showHelp } from "./panel.js";
+import { Pixels } from "./gpu.js";
+import { Panel, bare, fail, note, say, showControls, showHelp } from "./panel.js";
 import { Renderer } from "./renderer.js";
 import { startSorter } from "./sorter.js";
 import { Stereo, hasStereo } from "./stereo.js";
 import { Windows } from "./windows.js";
 
 const USUAL_SECONDS = 4;           // of a scene whose times have no seconds
-const SLOW = 45, QUICK = 18;       // ms a frame from which a moving picture gets coarser, or finer again
-const STRIDE = 0.6;                // least factor by which it gets coarser at once
-const COARSEST = 0.4;              // of the screen's pixels, along each side
 const REST = 250;                  // ms after which a picture that stands still gets all pixels
 const PATIENCE = 5000;             // ms for which a picture that was asked for waits for a lost graphics device
-const LOST = "The graphics device was lost; waiting for it.";
+const LOST = "The graphics device was lost; waiting for it.", GONE = "The graphics device was lost and does not come back. Reload the page.";
 
 export class Player {
   constructor(canvas) {
     this.canvas = canvas;
     this.playing = false, this.loop = true, this.speed = 1, this.mode = "orbit", this.layer = "all", this.photo = 0, this.time = 0;
     this.times = { sort: 0, upload: 0, draw: 0, frame: 0 };
-    this.scale = 1, this.asked = null, this.touched = 0, this.now = 0, this.drew = false;
+    this.asked = null, this.touched = 0, this.now = 0, this.drew = false;
   }
 
   // bytes: the scene's file. address: where it came from, beside which its windows lie, if it has any. begin: called before the first picture.
@@ -30,11 +28,13 @@ export class Player {
     this.seconds = scene.header.seconds || (scene.header.motion === "static" ? 0 : USUAL_SECONDS);
     this.renderer = new Renderer(this.canvas);
     this.renderer.load(scene);
+    this.pixels = new Pixels(this.renderer.most, this.renderer.software);
     this.camera = new Camera(scene.header);
     this.time = scene.header.cameras[0]?.time ?? 0;
     this.canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
       say(LOST);
+      setTimeout(() => this.renderer.gl.isContextLost() && say(GONE), PATIENCE);
     });
     this.canvas.addEventListener("webglcontextrestored", () => this.#restored());
     this.controls = new Controls(this.canvas, this);
@@ -44,8 +44,7 @@ export class Player {
     this.windows = new Windows(scene.header, address, (k, more) => this.#add(k, more));
     begin();
     const missing = await this.windows.at(this.time).then(() => "", ({ message }) => message);
-    if (this.renderer.software) this.scale = COARSEST;  // else the first picture, too, would take seconds
-    await this.#drawn(this.#window(this.scale));
+    while (!(await this.#tried(() => this.#drawn(this.#window(true)))));
     this.#loop();
     this.panel.show();
     say(missing);
@@ -59,15 +58,6 @@ export class Player {
     this.scene.parts[k] = part;
     this.renderer.add(part, k);
     this.last = "";
-  }
-
-  get info() {
-    const { header } = this.scene, sum = ([a, b]) => a + b;
-    return {
-      gaussians: sum(header.gaussians), convexes: sum(header.convexes), moving: header.gaussians[1] + header.convexes[1], motion: header.motion,
-      bytes: this.bytes, duration: this.seconds, sh_degree: header.sh_degree, cameras: header.cameras.length,
-      milliseconds: { ...this.times }, uploads: { ...this.renderer.uploads },
-    };
   }
 
   // -- what the page and its keys ask for ----------------------------------------------------------------------------------------------
@@ -190,10 +180,22 @@ export class Player {
 
   // -- frames ----------------------------------------------------------------------------------------------------------------------------
 
-  #window(scale = 1) {
-    const side = (length) => Math.max(1, Math.round(length * (devicePixelRatio || 1) * scale));
+  #window(moving) {
     Object.assign(this.canvas.style, { width: "100%", height: "100%" });
-    return { time: this.time, layer: this.layer, ...this.camera.view(side(this.canvas.clientWidth), side(this.canvas.clientHeight)) };
+    const ratio = devicePixelRatio || 1, size = this.pixels.of(this.canvas.clientWidth * ratio, this.canvas.clientHeight * ratio, moving);
+    return { time: this.time, layer: this.layer, ...this.camera.view(...size) };
+  }
+
+  // Whether `act` has drawn a picture. A device may fail once, or at pictures of that size; what fails again and again is thrown.
+  async #tried(act) {
+    try {
+      await act();
+      this.pixels.failures = 0;
+      return true;
+    } catch (error) {
+      if (!this.pixels.overcome(error)) throw error;
+      return false;
+    }
   }
 
   // Sorts for the view, then draws it, and if asked waits until it is there.
@@ -215,7 +217,7 @@ export class Player {
       const seconds = Math.min((now - (this.now || now)) / 1000, 0.5);
       this.now = now;
       try {
-        await this.#frame(seconds);
+        await this.#tried(() => this.#frame(seconds));
       } catch (error) {
         return fail(error);
       }
@@ -228,15 +230,14 @@ export class Player {
     this.controls.advance(seconds);
     if (this.playing && !this.windows.lacks(this.time)) this.#advance(seconds);
     const moving = this.playing || performance.now() - this.touched < REST || this.controls.busy;
-    const view = this.#window(moving ? this.scale : 1);
+    const view = this.#window(moving);
     const again = this.drew;  // whether the time since the last frame is that of a frame
     this.drew = JSON.stringify(view) !== this.last;
     if (!this.drew) return;  // nothing has changed, so nothing is sorted, uploaded or drawn
     await this.#drawn(view, false);
     if (this.asked) return this.#drawn(this.asked);  // asked for in the meantime
     this.times.frame = again ? 1000 * seconds : this.times.frame;
-    if (moving && this.times.frame > SLOW) this.scale = Math.max(COARSEST, this.scale * Math.max(STRIDE, 0.9 * Math.sqrt(SLOW / this.times.frame)));
-    else if (moving && this.times.frame < QUICK) this.scale = Math.min(1, 1.1 * this.scale);
+    if (moving) this.pixels.took(this.times.frame);
   }
 
   // Lets time pass where frames are not the page's own.
@@ -248,11 +249,11 @@ export class Player {
   sortFor(view) {
     if (this.sorting) return;
     this.sorting = true;
-    this.sorter.sort(view.time, view.cam_from_world.slice(8, 12), this.layer).then(({ order, count }) => {
+    this.#tried(async () => {
+      const { order, count } = await this.sorter.sort(view.time, view.cam_from_world.slice(8, 12), this.layer);
       this.renderer.setOrder(order, count);
       this.sorter.give(order);
-      this.sorting = false;
-    }, fail);
+    }).catch(fail).finally(() => (this.sorting = false));
   }
 
   #advance(seconds) {
@@ -268,7 +269,7 @@ export class Player {
   async there() {
     const start = performance.now();
     while (this.renderer.gl.isContextLost()) {
-      if (performance.now() - start > PATIENCE) throw new Error(LOST);
+      if (performance.now() - start > PATIENCE) throw new Error(GONE);
       await new Promise((done) => setTimeout(done, 50));
     }
     await this.restoring;
@@ -288,9 +289,4 @@ export class Player {
       fail(error);
     }
   }
-}
-
-export function fail(error) {
-  say(error.message, true);
-  document.body.classList.add("failed");
 }

@@ -132,6 +132,7 @@ export class Renderer {
   #fit(width, height) {
     const { gl } = this, size = `${width}x${height}`;
     if (size === this.size) return;
+    this.size = null;  // what fails below shall not be taken for a picture of the size before
     if (this.picture) {
       for (const texture of [this.picture, this.closed]) gl.deleteTexture(texture);
       for (const frame of [this.blended, this.closing]) gl.deleteFramebuffer(frame);

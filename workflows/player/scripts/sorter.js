@@ -44,14 +44,14 @@ function connect(heard) {
     try {
       const address = URL.createObjectURL(new Blob([document.getElementById("worker").textContent], { type: "text/javascript" }));
       const worker = new Worker(address);
-      let there = false;
+      let there = false, broken = null;
       worker.onmessage = ({ data }) => {
         if (data.kind !== "there") return heard(data);
         there = true;
-        done((message, moved) => worker.postMessage(message, moved));
+        done((message, moved) => (broken ? heard(broken) : worker.postMessage(message, moved)));
       };
       worker.onerror = (event) => {
-        if (there) heard({ kind: "failed", message: event.message || "The page's worker has failed." });
+        if (there) heard((broken = { kind: "failed", message: event.message || "The page's worker has failed." }));
         else here();
       };
     } catch {
