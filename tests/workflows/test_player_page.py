@@ -209,12 +209,13 @@ def test_layers_have_the_names_of_the_live_viewer_and_show_their_primitives(open
 
 # A headset of two eyes, 64 mm apart, whose pictures lie side by side on the canvas.
 HEADSET = """
-window.frames_ = [];
+window.frames_ = [], window.sessions = [];
 WebGL2RenderingContext.prototype.makeXRCompatible = async () => {};
 const size = () => ({ width: 120, height: 160 });
 const eye = (x) => ({ projectionMatrix: [1.5,0,0,0, 0,1.1,0,0, 0,0,-1,-1, 0,0,-0.1,0], side: x,
   transform: { inverse: { matrix: [1,0,0,0, 0,1,0,0, 0,0,1,0, -x,0,0,1] } } });
 class Session extends EventTarget {
+  constructor() { super(), sessions.push(this); }
   updateRenderState() {}
   async requestReferenceSpace() { return {}; }
   requestAnimationFrame(act) { frames_.push(act); }
@@ -255,7 +256,7 @@ def test_the_address_chooses_camera_time_and_controls(opened, file):
     assert (time_of(shown), page.input_value("#photo"), page.get_attribute("#play", "aria-label")) == (0.3, "1", "Play")
     assert not visible(shown, "#bar") and [text for text in shown.said if "speed=9" in text]
     page.keyboard.press("KeyF")
-    page.wait_for_function("document.fullscreenElement")
+    page.wait_for_selector("html:fullscreen")
     assert not visible(shown, "#bar")
     page.keyboard.press("KeyF")
     page.keyboard.press("KeyH")
@@ -493,6 +494,42 @@ def served(browser, tmp_path):
     held.clear()
     shown.close()
     server.shutdown()
+
+
+def test_a_page_without_https_says_why_it_has_no_headset(served, opened, file):
+    shown, folder, address, _ = served
+    (folder / "index.html").write_text(page("plain", file, None, (1, 1, 1), False))
+    shown.route("http://player.test/", lambda asked: asked.fulfill(path=folder / "index.html"))
+    for site, said in (("http://player.test/", True), (address, False)):  # localhost is as good as https
+        shown.goto(site)
+        shown.wait_for_selector("body.ready", timeout=60_000)
+        shown.keyboard.press("KeyH")
+        assert ("needs https" in shown.inner_text("#keys")) == said, site
+    assert not visible(opened(file), ".unsafe >> nth=0")
+
+
+def test_a_headset_waits_for_windows_and_its_trigger_plays(served, long_clip):
+    shown, folder, address, held = served
+    shown.add_init_script(HEADSET)
+    (folder / "index.html").write_text(page("apart", "scene.e4dw", None, (1, 1, 1), False))
+    write_data(folder / "scene.e4dw", long_clip)
+    held |= {"scene-2.e4dw", "scene-3.e4dw", "scene-4.e4dw"}
+    shown.goto(address)
+    shown.wait_for_selector("body.ready", timeout=60_000)
+    shown.locator("#stereo").click()
+    wait = "(async () => {{ while (!({})) await new Promise((done) => setTimeout(done, 50)); }})()"
+    shown.evaluate(wait.format("frames_.length"))
+    frames, trigger = "for (let k = 0; k < 20; ++k) step(start + 400 * k)", "sessions[0].dispatchEvent(new Event('select'))"
+    shown.evaluate("start = 0, " + trigger)
+    shown.evaluate(f"{{ {frames} }}")
+    first = float(shown.input_value("#time"))
+    start = header_of((folder / "scene.e4dw").read_bytes())[0]["windows"][1][0]
+    assert 0 < first < start + 0.07, "it plays until the window that is on its way"
+    held.clear()
+    shown.evaluate(wait.format(f"e4dgs.info.bytes >= {sum(path.stat().st_size for path in folder.glob('*.e4dw'))}"))
+    shown.wait_for_timeout(300)
+    shown.evaluate(f"{{ start = 8000; step(start); step(start + 400); {trigger}; {frames.replace('start +', 'start + 800 +')} }}")
+    assert first < float(shown.input_value("#time")) < first + 0.16, "the trigger has stopped it"
 
 
 def test_page_and_data_apart_need_a_server(served, file):

@@ -28,6 +28,7 @@ export class Panel {
     find("layer").onchange = (event) => player.setLayer(event.target.value);
     find("before").onclick = () => player.jump(player.photo - 1);
     find("after").onclick = () => player.jump(player.photo + 1);
+    for (const one of document.querySelectorAll(".unsafe")) one.hidden = isSecureContext;  // a browser tells such a page of no headset
     find("bar").hidden = false;
   }
 

@@ -228,7 +228,7 @@ export class Player {
   async #frame(seconds) {
     if (this.asked || this.measuring || this.stereo.session || document.hidden || this.renderer.gl.isContextLost()) return;
     this.controls.advance(seconds);
-    if (this.playing && !this.windows.lacks(this.time)) this.#advance(seconds);
+    this.pass(seconds);
     const moving = this.playing || performance.now() - this.touched < REST || this.controls.busy;
     const view = this.#window(moving);
     const again = this.drew;  // whether the time since the last frame is that of a frame
@@ -240,9 +240,9 @@ export class Player {
     if (moving) this.pixels.took(this.times.frame);
   }
 
-  // Lets time pass where frames are not the page's own.
+  // Lets time pass while the scene plays and nothing of what is seen now is still on its way; a headset, too, which has frames of its own.
   pass(seconds) {
-    if (this.playing) this.#advance(seconds);
+    if (this.playing && !this.windows.lacks(this.time)) this.#advance(seconds);
   }
 
   // Starts to sort for a view, if no sorting is under way; the order is there for a later frame.

@@ -48,6 +48,7 @@ export class Stereo {
     session.updateRenderState({ baseLayer: layer });
     const space = await session.requestReferenceSpace("local");
     this.session = session, this.place = standAt({ ...player.camera, up: player.camera.up, distance: player.camera.distance }), this.before = null;
+    session.addEventListener("select", () => player.toggle());  // a controller's trigger, or a pinch of fingers
     session.addEventListener("end", () => {
       this.session = null;
       player.changed();
