@@ -2,6 +2,7 @@
 
 import base64
 import io
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 from e4dgs.rasterizer import Camera, rasterize
 from e4dgs.scene.formats.web.container import header_of
 from e4dgs.stages.exports.web_scene import web_scene
-from e4dgs.workflows.exports.web import write_data
+from e4dgs.workflows.exports.web import address_of, write_data
 from e4dgs.workflows.player.page import page
 from made_models import FRAMES, MOTIONS, camera, made
 from PIL import Image
@@ -534,13 +535,14 @@ def test_a_headset_waits_for_windows_and_its_trigger_plays(served, long_clip):
 
 def test_page_and_data_apart_need_a_server(served, file):
     shown, folder, address, _ = served
-    (folder / "index.html").write_text(page("apart", "scene.e4dw", None, (1, 1, 1), False))
+    (folder / "index.html").write_text(page("apart", address_of(file), None, (1, 1, 1), False))
     (folder / "scene.e4dw").write_bytes(file)
     shown.goto(address)
     shown.wait_for_selector("body.ready", timeout=60_000)
     shown.goto((folder / "index.html").as_uri())
     shown.wait_for_selector("body.failed", timeout=60_000)
-    assert "from a web server only" in shown.inner_text("#message")
+    said = shown.inner_text("#message")
+    assert "from a web server only" in said and "(scene.e4dw)" in said
 
 
 @pytest.fixture(scope="module")
@@ -605,6 +607,22 @@ def test_windows_draw_what_the_single_file_draws_and_wait_for_their_times(served
     shown.evaluate("window.lost = e4dgs.canvas.getContext('webgl2').getExtension('WEBGL_lose_context'), lost.loseContext()")
     shown.evaluate("setTimeout(() => lost.restoreContext(), 300)")
     assert np.abs(pictures(shown, TIMES[3:])[0] - truth[3]).max() <= 1 / 255
+
+
+def test_a_new_export_to_the_same_site_is_fetched_anew(served, long_clip):
+    shown, folder, address, _ = served
+    later = web_scene(made("lives", gaussians=90, convexes=10, degree=1), FRAMES, PIXEL, about() | {"seconds": 8.0})[0].to_bytes()
+    for data in (long_clip, later):
+        write_data(folder / "scene.e4dw", data)
+        for path in folder.glob("*.e4dw"):
+            os.utime(path, (1e9, 1e9))  # a browser keeps for long what has not changed for long
+        (folder / "index.html").write_text(page("apart", address_of(data), None, (1, 1, 1), False))
+        shown.goto(address)
+        shown.wait_for_selector("body.ready", timeout=60_000)
+        assert not isinstance(pictures(shown, (0.96,))[0], str), "the windows belong to the scene"
+        whole = sum(path.stat().st_size for path in folder.glob("*.e4dw"))
+        shown.evaluate(f"(async () => {{ while (e4dgs.info.bytes < {whole}) await new Promise((done) => setTimeout(done, 50)); }})()")
+        assert shown.evaluate("e4dgs.info.bytes") == whole
 
 
 @pytest.mark.parametrize("damage", [lambda path: path.unlink(), lambda path: path.write_bytes(path.read_bytes()[:-30])])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Annotated
 
@@ -46,6 +47,11 @@ def write_data(path: Path, data: bytes) -> int:
     return len(first)
 
 
+def address_of(data: bytes) -> str:
+    """Where the page finds the scene of ``data``. The digest makes browsers fetch a new export and its windows."""
+    return f"{DATA}?{hashlib.sha256(data).hexdigest()[:12]}"
+
+
 @of_last_run("coarse")
 @without(
     times="the page plays all times of the capture; leave it out",
@@ -74,7 +80,8 @@ def web(options: Options, out: Out = None) -> None:
         made = export_web(trained.model, trained.frames, trained.times, bar.advance)
         if not single:
             first = write_data(target / DATA, made.data)
-        text = page(scene, made.data if single else DATA, made.poster, trained.model.background, made.header["motion"] != "static")
+        where = made.data if single else address_of(made.data)
+        text = page(scene, where, made.poster, trained.model.background, made.header["motion"] != "static")
         write_atomically(path, text)
     size = f"page of {len(text) / 1e6:.2f} MB" + ("" if single else f" beside {DATA}, of which {first / 1e6:.2f} MB come first")
     say(f"{made}; {size}", f"web: {path}")

@@ -4,7 +4,7 @@ export class Windows {
   // header: of the scene. address: of its first file. add: takes a window's number and bytes, and is done when it can be drawn.
   constructor(header, address, add) {
     this.add = add;
-    this.list = (header.windows ?? []).map(([from, to], k) => ({ k, from, to, address: address.replace(/(\.\w+)?$/, `-${k + 1}$1`) }));
+    this.list = (header.windows ?? []).map(([from, to], k) => ({ k, from, to, address: address.replace(/(\.\w+)?(\?.*)?$/, `-${k + 1}$1$2`) }));
   }
 
   // Done when all that is seen at `time` is there; fails if some of it cannot be had.
@@ -35,7 +35,7 @@ export class Windows {
       try {
         await this.add(one.k, await fetched(one.address));
       } catch (error) {
-        throw new Error(`A part of the scene is missing (${one.address}): ${error.message}`);
+        throw new Error(`A part of the scene is missing (${nameOf(one.address)}): ${error.message}`);
       } finally {
         one.settled = true;
       }
@@ -44,6 +44,8 @@ export class Windows {
   }
 }
 
+const nameOf = (address) => address.split("?")[0];  // without the digest of the content
+
 export async function fetched(address) {
   try {
     const answer = await fetch(address);
@@ -51,6 +53,6 @@ export async function fetched(address) {
     return new Uint8Array(await answer.arrayBuffer());
   } catch (error) {
     const local = location.protocol === "file:" ? " A browser reads it from a web server only; a page with the data inside needs none." : "";
-    throw new Error(`The scene's data (${address}) cannot be read: ${error.message}.${local}`);
+    throw new Error(`The scene's data (${nameOf(address)}) cannot be read: ${error.message}.${local}`);
   }
 }
