@@ -72,7 +72,7 @@ def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -
     folders = folders_of(images)
     if len(folders) < 2:
         return Rig()
-    listed = {folder: _pictures(root, folder) for folder in folders}
+    listed = {folder: pictures_in(root, folder) for folder in folders}
     frames = {folder: {_frame(name) for name in names} for folder, names in listed.items()}
     posed: dict[str, set[str]] = {folder: set() for folder in folders}
     for name in (*images, *(name for name in deleted if posixpath.dirname(name) in frames)):
@@ -144,7 +144,7 @@ def folders_of(images: Sequence[str]) -> list[str]:
     return sorted({posixpath.dirname(name) for name in images}, key=checks.natural_key)
 
 
-def _pictures(root: Path, folder: str) -> list[str]:
+def pictures_in(root: Path, folder: str) -> list[str]:
     """Files in a folder that are named like pictures, relative to `root`."""
     names = [f"{folder}/{name}" for name in checks.list_folder(root / folder) if name.lower().endswith(checks.IMAGE_SUFFIXES)]
     return [name for name in names if (root / name).is_file()]
@@ -158,7 +158,7 @@ def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
     """What is missing where several folders have files of the same names, as those of a rig do, and no file gives poses; None elsewhere."""
     named: dict[str, frozenset[str]] = {}
     for folder in (folder for folder in folders if role_of(posixpath.basename(folder)) is None):  # depth, masks: of the same cameras
-        pictures = frozenset(_frame(name) for name in _pictures(root, folder))
+        pictures = frozenset(_frame(name) for name in pictures_in(root, folder))
         if pictures:
             named[folder] = pictures
     if any(name.endswith(".pose.txt") for folder in named for name in checks.list_folder(root / folder)):

@@ -163,3 +163,45 @@ def test_words_in_the_names_of_one_folder_tell_cameras_apart(rig):
     for i, name in enumerate(capture.names):
         assert (capture.camera[i], capture.time[i]) == (truth[name].camera_index, pytest.approx(truth[name].time_index / 3))
     assert any("left_000.png and images/middle_000.png, are read as 3 cameras" in note for note in capture.notes)
+
+
+def only_posed(root, keep):
+    """Leaves the poses of those pictures whose name `keep` takes, and all pictures on disk."""
+    kept = [line for line in lines(root) if line.startswith("#") or (line.endswith(".png") and keep(line.split()[-1]))]
+    (root / "sparse/0/images.txt").write_text("".join(line + ("\n" if line.startswith("#") else "\n\n") for line in kept))
+
+
+@pytest.mark.parametrize("posed", [{0: "000", 1: "000", 2: "000"}, {0: "002", 1: "000", 2: "003"}])
+def test_one_pose_for_each_folder_holds_for_all_of_its_pictures(rig, posed):
+    """As where a rig was calibrated on its first frames alone: the cameras stand still."""
+    root, views = rig
+    only_posed(root, lambda name: any(name == f"cam{camera}/{frame}.png" for camera, frame in posed.items()))
+    capture = recognise(root)
+    facts = capture.facts
+    assert (facts["cameras"], facts["times"], facts["frames"], facts["fixed_cameras"], facts["static"]) == (3, 4, 12, True, False)
+    for i, name in enumerate(capture.names):
+        view = views[name]
+        assert (capture.camera[i], capture.time[i]) == (view.camera_index, pytest.approx(view.time_index / 3))
+        np.testing.assert_allclose(capture.cam_from_world[i], view.camera.cam_from_world, atol=1e-9)
+    (note,) = capture.notes
+    assert "each of 3 folders has one picture with a pose" in note and "all 4 pictures" in note
+    assert recognise(root, static=True).facts["frames"] == 3
+
+
+def test_a_pose_is_extended_to_the_names_that_all_folders_share(rig):
+    root, _ = rig
+    only_posed(root, lambda name: name.endswith("/000.png"))
+    (root / "images/cam1/003.png").unlink()
+    capture = recognise(root)
+    assert (capture.facts["cameras"], capture.facts["times"], capture.facts["frames"]) == (3, 3, 9)
+    assert any("2 images without a pose" in note for note in capture.notes)
+    for file in (root / "images/cam1").iterdir():
+        file.rename(file.with_name(f"late{file.name}"))
+    (root / "sparse/0/images.txt").write_text((root / "sparse/0/images.txt").read_text().replace("cam1/", "cam1/late"))
+    assert recognise(root).facts["frames"] == 3
+
+
+def test_a_camera_with_two_poses_does_not_stand_still(rig):
+    root, _ = rig
+    only_posed(root, lambda name: name.endswith("/000.png") or name == "cam1/001.png")
+    assert recognise(root).facts["frames"] == 4

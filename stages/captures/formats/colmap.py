@@ -21,7 +21,18 @@ from ..posed.stated import states_layout
 from ..reading import Options, Reading, Shot
 from ..rigs import all_fixed, folders_of, place_untimed
 from . import n3v
-from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places, place_frames, read_cloud, told_twice
+from .colmap_model import (
+    ImageRecord,
+    Model,
+    Place,
+    choose,
+    extend_standing,
+    lens_of,
+    model_places,
+    place_frames,
+    read_cloud,
+    told_twice,
+)
 
 _OWN = ("sparse/0", "sparse")  # a model here makes a capture COLMAP's, whatever lies beside it
 _SMALLER = re.compile(r"images_\d+")  # copies of the pictures, as Mip-NeRF 360 and LLFF have them
@@ -50,13 +61,14 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{files['images']}: no registered image; run structure from motion again")
     names = {i: (image.name, f"{files['images']}: image {image.name!r}: name") for i, image in enumerate(images)}
     found = find_pictures(root, names, files["images"], "images", model.pictures)
-    paths = list(found.paths.values())
+    posed, standing = extend_standing(root, found.paths, options.static)
+    paths = [path for _, path in posed]
     deleted = [model.pictures + images[i].name.replace("\\", "/") for i in found.gone]
     sizes, alpha = checks.image_headers(root, paths)
-    found_at = zip(found.paths.items(), sizes, strict=True)
+    found_at = zip(posed, sizes, strict=True)
     shots = [_shot(root, images[i], path, size, cameras, files) for (i, path), size in found_at]
-    registered = [images[i] for i in found.paths]
-    placed, unfollowed = place_frames(model, registered, shots, options.fps)
+    registered = [images[i] for i, _ in posed]
+    placed, unfollowed = place_frames(model, registered, shots, options.fps) if standing is None else (None, None)
     if placed is None:
         placed = place_untimed(root, shots, options.static, options.fps, deleted)
     masked = add_masks(root, shots, model.pictures)
@@ -67,6 +79,7 @@ def read(root: Path, options: Options) -> Reading:
         *told_twice(model),
         *cloud.notes,
         *found.notes,
+        *([standing] if standing else []),
         *placed.notes,
         *([unfollowed] if unfollowed else []),
         *masked,

@@ -8,6 +8,7 @@ from .lenses import lens_of
 from .places import Model, Place, choose, model_places
 from .records import ImageRecord
 from .rig import model_of_cameras
+from .standing import extend_standing
 from .twice import told_twice
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Model",
     "Place",
     "choose",
+    "extend_standing",
     "lens_of",
     "model_of_cameras",
     "model_places",
