@@ -146,3 +146,60 @@ def test_names_of_other_recordings_are_cameras(tmp_path, second):
     for name, level in (("GX010034.MP4", 0), (second, 1)):
         coded(tmp_path / name, f"10:00:00:0{level}", frames=8)
     assert recognise(tmp_path).facts["cameras"] == 2
+
+
+def dated(file, created, seconds=8, size=(48, 32), rate=5):
+    """Grey pictures in a file that says when it was made."""
+    plain = file.with_suffix(".plain.mp4")
+    write_mp4(plain, (np.full((size[1], size[0], 3), 20 + 2 * k, np.uint8) for k in range(rate * seconds)), rate)
+    with av.open(str(plain)) as old, av.open(str(file), "w") as new:
+        copy = new.add_stream_from_template(old.streams.video[0])
+        if created:
+            new.metadata["creation_time"] = f"{created}.000000Z"
+        for packet in old.demux():
+            if packet.dts is not None:
+                packet.stream = copy
+                new.mux(packet)
+    plain.unlink()
+
+
+@pytest.mark.parametrize("dates", [("2024-05-01T23:59:55", "2024-05-02T00:00:04"), ("2024-05-02T00:00:04", "2024-05-02T00:00:09")])
+def test_parts_that_follow_by_their_dates_are_no_cameras(tmp_path, dates):
+    """Also where the dates are those of the ends, as some cameras write them, and where the last part is short."""
+    for name, created, seconds in zip(("DJI_0001.MP4", "DJI_0002.MP4"), dates, (8, 5), strict=True):
+        dated(tmp_path / name, created, seconds)
+    with pytest.raises(
+        CaptureError, match=r"DJI_0001.MP4, DJI_0002.MP4 are parts of one recording.* -c copy all.mp4.*--format videos reads"
+    ):
+        recognise(tmp_path)
+    for meant in ({"format": "videos"}, {"sync": "frames"}):
+        capture = recognise(tmp_path, **meant)
+        assert capture.facts["cameras"] == 2 and not any("follows" in note for note in capture.notes)
+
+
+def test_clips_that_are_apart_by_their_dates_are_told_and_still_read(tmp_path):
+    dated(tmp_path / "a.mp4", "2024-05-01T10:30:00")
+    dated(tmp_path / "b.mp4", "2024-05-01T10:00:00")
+    capture = recognise(tmp_path)
+    told = "by the dates in the files a.mp4 (2024-05-01 10:30:00) follows b.mp4 (2024-05-01 10:00:00), so they may be parts"
+    assert capture.facts["cameras"] == 2 and any(told in note for note in capture.notes)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ({"created": "2024-05-01T10:00:00"}, {"created": "2024-05-01T10:00:03"}),
+        ({"created": "2024-05-01T10:00:00"}, {"created": None}),
+        ({"created": "1904-01-01T00:00:00"}, {"created": "1904-01-01T00:00:08"}),
+        ({"created": "2024-05-01T10:00:00"}, {"created": "2024-05-01T10:00:08", "size": (64, 32)}),
+        ({"created": "2024-05-01T10:00:00"}, {"created": "2024-05-01T10:00:08", "rate": 10}),
+        ({"created": "2024-05-01T10:00:00", "seconds": 3}, {"created": "2024-05-01T10:00:03", "seconds": 3}),
+        ({"created": "2024-05-01T10:00:05", "seconds": 5}, {"created": "2024-05-01T10:00:20", "seconds": 20}),
+    ],
+    ids=["overlap", "no date", "clock not set", "size", "rate", "short", "ends of two cameras at one time"],
+)
+def test_dates_that_say_nothing_leave_cameras(tmp_path, first, second):
+    dated(tmp_path / "a.mp4", **first)
+    dated(tmp_path / "b.mp4", **second)
+    capture = recognise(tmp_path)
+    assert capture.facts["cameras"] == 2 and not any("follows" in note for note in capture.notes)

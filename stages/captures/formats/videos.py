@@ -25,6 +25,7 @@ from ..video.probe import told_together
 from . import takes, video
 
 _POSES = "poses_bounds.npy"  # if this file exists, the capture belongs to n3v, whatever the names of the videos
+_FIRST_FRAMES = "aligned by their first frames"
 
 
 def detect(root: Path) -> str | None:
@@ -56,6 +57,8 @@ def read(root: Path, options: Options) -> Reading:
         alone = video.read(root / names[0], options)
         return replace(alone, sources=(*alone.sources, *copied, *left_out), notes=(*twice, *alone.notes))
     shifts, how, doubt = clocks(root, headers, options.sync, options.audio_cache)
+    if how.startswith(_FIRST_FRAMES) and not meant:
+        takes.refuse_parts(root, headers)
     after = () if meant else takes.follow_each_other(headers)
     local = [np.asarray(headers[name].seconds) for name in names]
     times, taken = _shared(names, local, shifts, options)
@@ -94,7 +97,7 @@ def clocks(
     names, videos = list(headers), list(headers.values())
     zero = [0.0] * len(names)
     if sync == "frames":
-        return zero, "aligned by their first frames", ()
+        return zero, _FIRST_FRAMES, ()
     # sound and timecodes run from the start of the track, of which the first pictures may be lost
     late = [header.late - videos[0].late for header in videos]
     coded = timecode.shifts([h.timecode for h in videos], [h.fps for h in videos], [h.seconds[-1] + h.late for h in videos])
@@ -121,7 +124,7 @@ def clocks(
             f"{root}: the timecodes of its videos do not align them ({told}): each needs one, all of the same kind, and they must overlap; "
             "leave frames.sync unset to align them by sound"
         )
-    return zero, f"aligned by their first frames ({heard})", ()
+    return zero, f"{_FIRST_FRAMES} ({heard})", ()
 
 
 def _by_sound(root: Path, names: Sequence[str], heard_before: Path | None) -> list[float] | str:

@@ -12,7 +12,8 @@ from .survey import survey
 @dataclass(frozen=True)
 class Header:
     """Facts about a video: size as shown, time in seconds of every frame in display order, frame rate, and a line for every repair and
-    for what is not read. late: seconds by which the first frame comes after the start of its track. timecode: of that start."""
+    for what is not read. late: seconds by which the first frame comes after the start of its track. timecode: of that start. created: when
+    the file was made, in seconds of the clock of Unix, if it says; some cameras write the end of the recording."""
 
     width: int
     height: int
@@ -21,12 +22,13 @@ class Header:
     notes: tuple[str, ...] = ()
     late: float = 0.0
     timecode: str | None = None
+    created: float | None = None
 
 
 def probe(root: Path, name: str) -> Header:
     """Reads all packets, but decodes only the first frames. Raises CaptureError for broken and truncated files."""
     found = survey(root, name)
-    return Header(*found.shape.shown, found.seconds, found.fps, found.notes, found.late, found.timecode)
+    return Header(*found.shape.shown, found.seconds, found.fps, found.notes, found.late, found.timecode, found.created)
 
 
 def told_together(headers: Mapping[str, Header]) -> tuple[str, ...]:

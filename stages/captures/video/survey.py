@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -31,6 +32,7 @@ _RAW = ("m4v", "mjpeg", "h261", "h263", "h264", "hevc", "vvc", "vc1", "dirac", "
 _KEPT = 32  # surveys
 _INTERLACED = (2, 3, 4, 5)  # FFmpeg's field orders
 _LEAST_DECODED = 0.5  # share of the packets from the first picture on
+_EPOCH = 1980  # a year; clocks that were never set give 1904 or 1970
 _FIELDS = 0.8  # fewer pictures than this per packet: packets are fields
 
 
@@ -39,8 +41,8 @@ class Survey:
     """seconds: time of each picture in the order shown, the first at 0. raw: their time stamps in the file, ticks. by_order: pictures are
     to be counted, because their stamps say nothing. pixel: width over height of a pixel, if the container says. parity: of the fields of
     interlaced video, None for whole frames. late: seconds by which
-    the first picture comes after the start of the track. timecode: of the start of the track, as it is written there. notes: a line for
-    every repair and for everything that is not read."""
+    the first picture comes after the start of the track. timecode: of the start of the track, as it is written there. created: when the
+    file was made, in seconds of the clock of Unix, if it says. notes: a line for every repair and for everything that is not read."""
 
     shape: Shape
     seconds: tuple[float, ...]
@@ -52,6 +54,7 @@ class Survey:
     parity: str | None
     late: float
     timecode: str | None
+    created: float | None
     notes: tuple[str, ...]
 
 
@@ -90,6 +93,7 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
             packets = read_packets(container, stream, root / name, name)
             stated = float(stream.average_rate) if stream.average_rate else None
             code = stream.metadata.get("timecode") or container.metadata.get("timecode")
+            created = _created(container.metadata.get("creation_time") or stream.metadata.get("creation_time"))
             even = _even_rate(container, stream)
             base, start = float(stream.time_base or 0), stream.start_time
             reordered = bool(stream.codec_context.has_b_frames)
@@ -116,6 +120,7 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
         parity=first.parity,
         late=behind if abs(behind) < 1e6 else 0.0,
         timecode=code,
+        created=created,
         notes=(*notes, *_told(times, packets, late, first, even, seconds)),
     )
 
@@ -192,6 +197,15 @@ def _pictures(root: Path, name: str) -> list[int | None]:
         stream.thread_type = "AUTO"
         stream.codec_context.thread_count = thread_count()
         return [frame.pts for frame in decoded_frames(container, stream)]
+
+
+def _created(text: str | None) -> float | None:
+    """Seconds of the clock of Unix; None without a date, and for that of a clock that was never set."""
+    try:
+        found = datetime.fromisoformat(text or "")
+    except ValueError:
+        return None
+    return None if found.year < _EPOCH else (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
 
 
 def _even_rate(container: Any, stream: Any) -> float:
