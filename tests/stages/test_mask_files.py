@@ -87,6 +87,36 @@ def test_masks_of_zeros_and_ones_are_truth_values(tmp_path, dtype):
     )
 
 
+@pytest.mark.parametrize("grey", [0, 255, 90])
+@pytest.mark.parametrize("mode", ["RGBA", "LA", "P"])
+def test_masks_of_one_colour_hold_their_shape_in_alpha(tmp_path, grey, mode):
+    shape = np.array([[0, 255, 0, 40], [255, 255, 0, 200]], np.uint8)
+    if mode == "P":
+        shape = np.where(shape > 127, 255, 0).astype(np.uint8)
+        image = Image.fromarray(shape // 255, "P")
+        image.putpalette([grey] * 6)
+        image.save(tmp_path / "alpha.png", transparency=bytes([0, 255]))
+    else:
+        bands = [Image.fromarray(np.full_like(shape, grey))] * (len(mode) - 1)
+        Image.merge(mode, [*bands, Image.fromarray(shape)]).save(tmp_path / "alpha.png")
+    said = []
+    np.testing.assert_array_equal(read_mask(tmp_path, "alpha.png", say=said.append), shape)
+    np.testing.assert_array_equal(read_keep(tmp_path, "alpha.png"), np.where(shape > 127, 255, 0))
+    assert len(said) == 1 and "alpha" in said[0]
+
+
+def test_alpha_of_masks_that_have_a_shape_in_grey_counts_for_nothing(tmp_path):
+    grey = np.array([[0, 255], [255, 0]], np.uint8)
+    for name, first, alpha in (
+        ("both", grey, grey[::-1]),
+        ("opaque", grey, np.full_like(grey, 255)),
+        ("plain", np.full_like(grey, 255), None),
+    ):
+        bands = [Image.fromarray(first)] * 3 + [Image.fromarray(np.full_like(grey, 7) if alpha is None else alpha)]
+        Image.merge("RGBA", bands).save(tmp_path / f"{name}.png")
+        np.testing.assert_array_equal(read_mask(tmp_path, f"{name}.png"), first)
+
+
 def test_masks_of_sixteen_bits_are_scaled_and_not_clipped(tmp_path):
     values = np.array([[0, 1, 32000], [33000, 300, 65535]], np.uint16)
     Image.fromarray(values).save(tmp_path / "deep.png")

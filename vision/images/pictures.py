@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 Say = Callable[[str], None]
 TRUTH = "masks hold only 0 and 1, of which 1 is taken for white"
+ALPHA = "masks of one colour hold their shape in alpha, of which opaque is taken for white"
 
 # What each EXIF orientation (tag 0x0112) does to an array [H,W].
 _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
@@ -50,12 +51,16 @@ def read_picture(root: Path, name: str, upright: bool = False, say: Say = lambda
 
 def read_mask(root: Path, name: str, turn: int = 1, say: Say = lambda what: None) -> np.ndarray:
     """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is masked. In a mask that holds only 0 and 1, as programs save truth values, 1
-    is masked. turn: the EXIF orientation of the photo, given if the mask has the photo's size as stored, so that both are rotated
-    alike. say: called with `TRUTH` for such a mask."""
+    is masked; in one of one colour whose alpha is not the same everywhere, alpha is the mask. turn: the EXIF orientation of the photo,
+    given if the mask has the photo's size as stored, so that both are rotated alike. say: called with `TRUTH` or `ALPHA` for such
+    masks."""
     try:
         with open_image(root / name) as opened:
             image = pixels(opened, upright=False)
             values = np.asarray(image if image.mode.startswith("I;16") else image.convert("L"))
+            if (alpha := _shape_in_alpha(image, values)) is not None:
+                values = alpha
+                say(ALPHA)
             truth = values.max() == 1
             mask = (values * 255).astype(np.uint8) if truth else values if values.dtype == np.uint8 else _eight_bits(image)
             if truth:
@@ -63,6 +68,14 @@ def read_mask(root: Path, name: str, turn: int = 1, say: Say = lambda what: None
             return np.ascontiguousarray(_TURNS[turn](mask))
     except BadImageError as error:
         raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
+
+
+def _shape_in_alpha(image: Image, values: np.ndarray) -> np.ndarray | None:
+    """uint8 [H,W]: alpha if it says all that a mask with the grey ``values`` says; else None."""
+    if values.dtype != np.uint8 or values.min() != values.max() or not ("A" in image.getbands() or "transparency" in image.info):
+        return None
+    alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+    return alpha if alpha.min() != alpha.max() else None
 
 
 def read_keep(root: Path, name: str, turn: int = 1, say: Say = lambda what: None) -> np.ndarray:
