@@ -104,7 +104,7 @@ def recognise(
 def _not_read(root: Path, capture: Capture, reading: Reading) -> tuple[str, ...]:
     """A line for each known kind of file that the result does not depend on, except where the reader's notes have said it."""
     kind, options = capture.facts["format"], capture.options
-    around = above(root, kind)
+    around = above(root, kind, capture.files)
     if root.is_file():
         return around
     masks = (FOLDER,) if any(f"in {FOLDER}/" in note or note.startswith(f"{FOLDER}/") for note in reading.notes) else ()

@@ -1,6 +1,7 @@
 """Nothing is ignored in silence: a line for each known kind of file that the result does not depend on."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -239,6 +240,32 @@ def test_a_folder_images_whose_poses_lie_beside_it(colmap_capture, tmp_path):
     assert lines(root / "images") == [
         "poses_bounds.npy and sparse/ beside the folder images/ are not read; give the folder that holds both"
     ]
+
+
+def test_a_camera_matrix_beside_a_video_file_is_read_as_in_its_folder(video_capture, tmp_path):
+    file = Path(shutil.copy(video_capture.root, tmp_path / "clip.mp4"))
+    (tmp_path / "K.txt").write_text("30 0 10\n0 30 5\n0 0 1\n")
+    for path in (file, tmp_path):
+        capture = recognise(path)
+        assert capture.K_hint == (30, 0, 10, 0, 30, 5, 0, 0, 1) and "K.txt" in capture.files and not lines(path)
+    pictures(tmp_path, ["poster.png"])
+    assert recognise(file).K_hint == recognise(tmp_path).K_hint is not None
+    stubs(tmp_path, "poses.json", "sparse/0/cameras.bin")
+    (line,) = lines(file)
+    assert line.startswith("poses.json and sparse/ beside the video clip.mp4 are not read")
+
+
+@pytest.mark.parametrize("other", ["second.mp4", "photos"])
+def test_a_camera_matrix_that_may_be_of_others_than_a_video_file_is_told(video_capture, tmp_path, other):
+    file = Path(shutil.copy(video_capture.root, tmp_path / "clip.mp4"))
+    (tmp_path / "K.txt").write_text("30 0 10\n0 30 5\n0 0 1\n")
+    if other == "photos":
+        pictures(tmp_path, [f"{i}.jpg" for i in range(4)])
+    else:
+        shutil.copy(file, tmp_path / other)
+    assert recognise(file).K_hint is None
+    (line,) = lines(file)
+    assert line.startswith("K.txt beside the video clip.mp4 is not read") and "no other video and no photos" in line
 
 
 @pytest.mark.parametrize(

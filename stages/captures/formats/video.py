@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ....pipeline import CaptureError
 from .. import checks
+from ..listing.beside import alone
 from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
 from ..reading import Options, Reading, Shot, Video
 from ..video.decode import decode
@@ -38,7 +39,7 @@ def read(root: Path, options: Options) -> Reading:
     step = taken[1] - taken[0]
     some = f"all {total} video frames" if step == 1 else f"{len(taken)} of {total} video frames (every {step})"
     begin = header.seconds[0]
-    hint = read_camera_matrix(root, CAMERA_MATRIX, header.width, header.height) if root.is_dir() else None
+    hint = read_camera_matrix(base, CAMERA_MATRIX, header.width, header.height) if root.is_dir() or alone(path) else None
     return Reading(
         why=f"video {path.name}, {total} frames, one camera over time",
         shots=[

@@ -45,6 +45,16 @@ def chosen(root: Path, names: Sequence[str]) -> Literal["images", "video", "vide
     )
 
 
+def alone(file: Path) -> bool:
+    """Whether the video ``file`` is what its folder is about, so that what else lies there belongs to it: there is no other video, and
+    there are no photos but stills of it."""
+    try:
+        names = [entry.name for entry in file.parent.iterdir() if not entry.name.startswith(".") and entry.is_file()]
+        return [name for name in names if is_video(name)] == [file.name] and chosen(file.parent, names) in (None, "video")
+    except (OSError, CaptureError):  # it cannot be listed, or the photos may be what the folder is about
+        return False
+
+
 def _live(root: Path, videos: Sequence[str], photos: Sequence[str], readable: Sequence[str]) -> Literal["images"]:
     if len(readable) > 1:
         return "images"

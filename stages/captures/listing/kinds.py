@@ -142,6 +142,7 @@ BAND = FileKind("picture of one band of light", "pictures of one band of light",
 _DYNAMIC = "dynamic_mask_"
 DYNAMIC = FileKind("mask of instant-ngp", "masks of instant-ngp", "picture")  # dynamic_mask_a.png: white is ignored
 COPY = FileKind("picture in another size", "pictures in another size", "picture")
+CALIBRATION = "calibration file"
 _OTHERS = (
     ("point cloud", "point clouds", lambda name: name.endswith(_CLOUDS)),
     ("mesh or splat file", "mesh or splat files", lambda name: name.endswith(_MESHES)),
@@ -153,7 +154,7 @@ _OTHERS = (
         lambda name: re.fullmatch(r"(.*[^a-z])?(database|colmap|features|matches)([^a-z].*)?\.db", name),
     ),
     ("database", "databases", lambda name: name.endswith(".db") and not _THUMBNAILS.fullmatch(name)),
-    ("calibration file", "calibration files", lambda name: _CALIBRATIONS.fullmatch(name)),
+    (CALIBRATION, f"{CALIBRATION}s", lambda name: _CALIBRATIONS.fullmatch(name)),
     ("list of files or times", "lists of files or times", lambda name: _LISTS.fullmatch(name)),
 )
 

@@ -8,7 +8,22 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ....pipeline import CaptureError
-from .kinds import BAND, COPY, DYNAMIC, LOW, MODEL, OTHER_POSE, PICTURE, POSE, THUMBNAIL, VIDEO, FileKind, clip_of, kind_of
+from .kinds import (
+    BAND,
+    CALIBRATION,
+    COPY,
+    DYNAMIC,
+    LOW,
+    MODEL,
+    OTHER_POSE,
+    PICTURE,
+    POSE,
+    THUMBNAIL,
+    VIDEO,
+    FileKind,
+    clip_of,
+    kind_of,
+)
 from .names import is_image, natural_key
 from .sidecars import posed_sidecars
 from .tree import MOST_DEEP, MOST_FILES, tree
@@ -111,15 +126,16 @@ def _is_closed(kind: FileKind) -> bool:
     return kind.group in ("picture", "video") and bool(kind.advice)
 
 
-def above(root: Path, layout: str) -> tuple[str, ...]:
-    """Lines about what lies beside a video file, or a folder `images/`, that was given in place of the folder that holds both."""
+def above(root: Path, layout: str, read: Iterable[str] = ()) -> tuple[str, ...]:
+    """Lines about what lies beside a video file, or a folder `images/`, that was given in place of the folder that holds both. read: the
+    capture's files, of a video file relative to its folder."""
     if root.is_dir() and root.name.lower() != "images":
         return ()
     try:
         names = sorted(entry.name for entry in root.parent.iterdir())
     except OSError:
         return ()
-    lines = []
+    lines = _beside_video(root, names, set(read)) if root.is_file() else []
     if root.is_dir():
         poses = [name for name in names if kind_of(name) is POSE and (root.parent / name).is_file()]
         poses += [f"{name}/" for name in ("sparse", "colmap") if name in names]
@@ -132,6 +148,20 @@ def above(root: Path, layout: str) -> tuple[str, ...]:
     if _MASKS in names and (root.parent / _MASKS).is_dir() and not (root / _MASKS).is_dir():
         lines.append(f"the folder {_MASKS}/ is ignored, because the layout is {layout}; masks are read from {MASK_PLACES}")
     return tuple(lines)
+
+
+def _beside_video(file: Path, names: Sequence[str], read: set[str]) -> list[str]:
+    """A line about poses and calibrations in the folder of a video that was given alone."""
+    found = [name for name in names if (file.parent / name).is_file() and name not in read and not name.startswith(".")]
+    told = [name for name in found if (kind := kind_of(name)) in (POSE, OTHER_POSE) or (kind is not None and kind.one == CALIBRATION)]
+    told += [f"{name}/" for name in ("sparse", "colmap") if name in names and (file.parent / name).is_dir()]
+    if not told:
+        return []
+    few = told if len(told) <= 4 else [*told[:3], f"{len(told) - 3} more"]
+    return [
+        f"{_joined(few)} beside the video {file.name} {'is' if len(told) == 1 else 'are'} not read: beside a video K.txt alone is read, if "
+        "its folder has no other video and no photos; poses are read beside pictures"
+    ]
 
 
 def _line(kind: FileKind, paths: list[str], layout: str, read: set[str], models: Sequence[str]) -> str:
