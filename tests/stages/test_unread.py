@@ -164,6 +164,39 @@ def test_poses_beside_pictures_are_told_by_their_content(tmp_path, suffix, conte
     assert line.startswith(f"4 pose files of other programs (first IMG_0.{suffix}) are not read; export the poses as a COLMAP model or")
 
 
+METASHAPE = '<?xml version="1.0" encoding="UTF-8"?>\n<document version="2.0.0">\n  <chunk label="Chunk 1" enabled="true">\n'
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("export.csv", "#name,x,y,alt,heading,pitch,roll\nIMG_0.jpg,0,0,1,0,0,0\n"),
+        ("cameras.csv", "\ufeff#name;x;y;alt;heading;pitch;roll\n"),
+        ("export.CSV", "#cameras 4\n#name,x,y,alt,yaw,pitch,roll,f,px,py\n"),
+        ("reference.txt", "# CoordinateSystem: LOCAL_CS\n#Label,X/East,Y/North,Z/Altitude\n"),
+        ("angles.txt", "# Cameras (4)\n# PhotoID, X, Y, Z, Omega, Phi, Kappa\n"),
+        ("scan.xml", METASHAPE),
+        ("cameras.xml", "\ufeff" + METASHAPE),
+        ("block.xml", "<BlocksExchange version='3.2'>"),
+    ],
+)
+def test_poses_of_photogrammetry_are_told_by_their_content(tmp_path, name, content):
+    root = pictures(tmp_path / "shot", [f"images/{i}.jpg" for i in range(4)])
+    (root / name).write_text(content, encoding="utf-8")
+    told = f"the pose file of another program {name} is not read; export the poses as a COLMAP model or transforms.json"
+    assert [line.startswith(told) for line in lines(root)] == [True]
+    (line,) = lines(root / "images")
+    assert told in line and line.startswith("beside the folder images/")
+
+
+@pytest.mark.parametrize("content", ["name,age\n", "<svg><document/></svg>", "", "# name of the project\n"])
+@pytest.mark.parametrize("name", ["about.csv", "about.xml", "about.txt"])
+def test_tables_and_documents_of_other_things_are_no_poses(tmp_path, name, content):
+    root = photos(tmp_path)
+    (root / name).write_text(content)
+    assert lines(root) == []
+
+
 def test_settings_beside_pictures_are_no_poses(tmp_path):
     root = photos(tmp_path)
     (root / "IMG_0.xmp").write_text(LIGHTROOM)

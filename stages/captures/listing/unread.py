@@ -25,7 +25,7 @@ from .kinds import (
     kind_of,
 )
 from .names import is_image, natural_key
-from .sidecars import posed_sidecars
+from .sidecars import posed_sidecars, posed_tables
 from .tree import MOST_DEEP, MOST_FILES, tree
 
 _MASK, _MASKS = "mask", "masks"
@@ -70,7 +70,7 @@ def _groups(
     told = {folder for folder in models if any(_within(f"{folder}/{part}".lstrip("/"), spoken_for) for part in _MODEL_FILES)}
     models = [folder for folder in models if folder not in told]
     groups: dict[FileKind, list[str]] = {POSE: []} if models else {}
-    sidecars = posed_sidecars(root, files)
+    by_content = posed_sidecars(root, files) | posed_tables(root, files)
     for path in files:
         if path in read or _within(path, spoken_for):
             continue
@@ -78,7 +78,7 @@ def _groups(
         of_model = _stem(name).lower() in MODEL
         if ((folder in models or folder in told) and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
             continue
-        kind = OTHER_POSE if path in sidecars else kind_of(path)
+        kind = OTHER_POSE if path in by_content else kind_of(path)
         if kind is None or (thinned and kind.group == "picture" and kind not in (BAND, DYNAMIC) and not kind.advice and folder in beside):
             continue
         groups.setdefault(COPY if kind is PICTURE and folder not in folders and _copies(folder, folders) else kind, []).append(path)
@@ -137,9 +137,10 @@ def above(root: Path, layout: str, read: Iterable[str] = ()) -> tuple[str, ...]:
         return ()
     lines = _beside_video(root, names, set(read)) if root.is_file() else []
     if root.is_dir():
-        poses = [name for name in names if kind_of(name) is POSE and (root.parent / name).is_file()]
+        tables = posed_tables(root.parent, names)
+        poses = [name for name in names if kind_of(name) is POSE and name not in tables and (root.parent / name).is_file()]
         poses += [f"{name}/" for name in ("sparse", "colmap") if name in names]
-        others = [name for name in names if kind_of(name) is OTHER_POSE and (root.parent / name).is_file()]
+        others = [name for name in names if (kind_of(name) is OTHER_POSE or name in tables) and (root.parent / name).is_file()]
         if others:
             lines.append(f"beside the folder {root.name}/ {_line(OTHER_POSE, others, layout, set(), ())}")
         if poses:
@@ -153,7 +154,9 @@ def above(root: Path, layout: str, read: Iterable[str] = ()) -> tuple[str, ...]:
 def _beside_video(file: Path, names: Sequence[str], read: set[str]) -> list[str]:
     """A line about poses and calibrations in the folder of a video that was given alone."""
     found = [name for name in names if (file.parent / name).is_file() and name not in read and not name.startswith(".")]
-    told = [name for name in found if (kind := kind_of(name)) in (POSE, OTHER_POSE) or (kind is not None and kind.one == CALIBRATION)]
+    tables = posed_tables(file.parent, found)
+    kinds = {name: kind_of(name) for name in found}
+    told = [name for name, kind in kinds.items() if name in tables or (kind and (kind.group == "pose" or kind.one == CALIBRATION))]
     told += [f"{name}/" for name in ("sparse", "colmap") if name in names and (file.parent / name).is_dir()]
     if not told:
         return []
