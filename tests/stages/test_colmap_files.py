@@ -1,5 +1,6 @@
 """COLMAP models as people's tools write them: text with and without lines of keypoints, several models, models in other places."""
 
+import re
 import shutil
 
 import numpy as np
@@ -256,6 +257,58 @@ def test_a_model_as_binary_and_as_text_that_disagree_is_told(root, written, case
     assert_truth(recognise(root), written)  # the binary one
     (line,) = twice_told(root)
     assert line.startswith("sparse/0 has its model as .bin, which is read, and as .txt, which is not") and words in line
+
+
+def renamed(root, stem, page, suffix):
+    """Pictures with names of other letters than ASCII, and a model with these names in a code page of Windows."""
+    for file in (root / "images").iterdir():
+        file.rename(file.with_name(f"{stem}{file.name}"))
+    place = root / "sparse/0/images.txt"
+    rows = [re.sub(r" (\d+\.png)$", rf" {stem}\1", row) for row in place.read_text().splitlines() if row]
+    place.write_text("".join(f"{row}\n\n" for row in rows), page)
+    if suffix == ".bin":
+        as_both(root)
+        for part in ("cameras", "images"):
+            (root / f"sparse/0/{part}.txt").unlink()
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+@pytest.mark.parametrize(("page", "stem"), [("cp936", "照片_"), ("cp932", "ソ写真_"), ("cp1252", "Küche_")])
+def test_names_in_a_code_page_are_read_if_pictures_have_them(root, written, suffix, page, stem):
+    renamed(root, stem, page, suffix)
+    capture = recognise(root)
+    views = dict(zip(written.files, written.views, strict=True))
+    assert len(capture.names) == 12
+    for name, pose in zip(capture.names, capture.cam_from_world, strict=True):
+        np.testing.assert_allclose(pose, views[name.replace(stem, "")].camera.cam_from_world, atol=1e-9)
+    (note,) = capture.notes
+    assert f"images{suffix} has names that are not UTF-8: they are read in code page {page}" in note
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+def test_names_that_are_no_utf_8_and_no_pictures_are_told_as_that(root, suffix):
+    renamed(root, "照片_", "cp936", suffix)
+    for file in (root / "images").iterdir():
+        file.rename(file.with_name(file.name.replace("照片_", "x")))
+    with pytest.raises(
+        CaptureError, match=r"images.* the names of 12 of 12 images .first b'\\xd5\\xd5.*neither UTF-8 nor.*make the model again"
+    ):
+        recognise(root)
+
+
+def test_images_without_lines_of_keypoints_may_have_names_in_a_code_page(root):
+    renamed(root, "照片_", "cp936", ".txt")
+    rewritten = (root / "sparse/0/images.txt").read_bytes().replace(b"\n\n", b"\n")
+    (root / "sparse/0/images.txt").write_bytes(rewritten)
+    (note,) = recognise(root).notes
+    assert "code page cp936" in note and "no lines of keypoints" in note
+
+
+def test_a_model_in_utf_16_is_told_as_that(root):
+    place = root / "sparse/0/images.txt"
+    place.write_text(place.read_text(), "utf-16")
+    with pytest.raises(CaptureError, match=r"images.txt: .*it is UTF-16; save it as UTF-8"):
+        recognise(root)
 
 
 @pytest.mark.parametrize("suffix", [".txt", ".bin"])

@@ -53,7 +53,7 @@ class _Bytes:
         end = self.data.find(b"\0", self.at, self.at + _LONGEST_NAME)
         if end < 0:
             raise ValueError(f"a name without an end at byte {self.at}")
-        text = self.data[self.at : end].decode("utf-8")
+        text = self.data[self.at : end].decode("utf-8", "surrogateescape")  # see `code_pages.py`
         self.at = end + 1
         return text
 

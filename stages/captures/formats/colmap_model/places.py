@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import posixpath
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +13,7 @@ from pathlib import Path
 from .....pipeline import CaptureError
 from ... import checks
 from . import binary, text
+from .code_pages import in_code_page
 from .records import CameraRecord, FrameRecord, ImageRecord
 
 _FIRST = ("sparse", "sparse_", "colmap", "colmap_sparse", "dense", "undistorted", "distorted")  # folders of models, in this order
@@ -104,10 +105,11 @@ class Model:
                 found = list(self._parser.images(self.place.path(file)))
             except text.NotKeypoints as error:
                 found = self._bare(self.place.path(file), error)
-                self.note = (
+                self._say(
                     f"{file} has no lines of keypoints below its images (one for each image, which may be empty): each of its "
                     f"{len(found)} lines is read as an image"
                 )
+            found = self._decoded(found)
         return sorted(found, key=lambda image: checks.natural_key(image.name))
 
     @cached_property
@@ -135,8 +137,8 @@ class Model:
         present = self._present(self.pictures)
         return present > 0 and self._fits(self.pictures), present
 
-    def _present(self, folder: str) -> int:
-        return sum(self._is_there(folder, image) for image in self.images)
+    def _present(self, folder: str, images: Sequence[ImageRecord] | None = None) -> int:
+        return sum(self._is_there(folder, image) for image in (self.images if images is None else images))
 
     def _is_there(self, folder: str, image: ImageRecord) -> bool:
         try:
@@ -159,11 +161,23 @@ class Model:
 
     def _bare(self, path: Path, error: text.NotKeypoints) -> list[ImageRecord]:
         """The images of a file without keypoints, if each of them has a picture; else it is an error."""
-        found = text.bare_images(path)
+        found = self._decoded(text.bare_images(path) or [])
         for folder in self.place.pictures() if found else ():
-            if all(self._is_there(folder, image) for image in found or ()):
-                return found or []
+            if all(self._is_there(folder, image) for image in found):
+                return found
         raise CaptureError(f"{error}; add an empty line below each image, or export the model again") from error
+
+    def _decoded(self, found: list[ImageRecord]) -> list[ImageRecord]:
+        folders = self.place.pictures()
+        found, page = in_code_page(found, lambda some: max(self._present(folder, some) for folder in folders))
+        if page is not None:
+            self._say(
+                f"{self.place.file('images')} has names that are not UTF-8: they are read in code page {page}, as the pictures have them"
+            )
+        return found
+
+    def _say(self, line: str) -> None:
+        self.note = line if self.note is None else f"{self.note}; {line}"
 
     @property
     def _parser(self):  # type: ignore[no-untyped-def]

@@ -11,6 +11,7 @@ from .records import CameraRecord, FrameRecord, ImageRecord
 
 _LONGEST_LINE = 2**26  # characters; the line of an image's features lists about ten thousand of them
 _WHOLE = 2**16  # characters; of longer lines of features only both ends are checked
+_UTF_16 = ("\udcff\udcfe", "\udcfe\udcff")  # its byte order marks
 
 
 class NotKeypoints(ValueError):
@@ -18,13 +19,16 @@ class NotKeypoints(ValueError):
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """(number, text) of the lines that are no comments, without the blanks around them. A byte order mark is skipped."""
-    with path.open(encoding="utf-8-sig") as file:
+    """(number, text) of the lines that are no comments, without the blanks around them. A byte order mark is skipped; bytes that are not
+    UTF-8 are kept, see `code_pages.py`."""
+    with path.open(encoding="utf-8-sig", errors="surrogateescape") as file:
         number = 0
         while line := file.readline(_LONGEST_LINE):
             number += 1
             if len(line) == _LONGEST_LINE:
                 raise ValueError(f"line {number} has more than {_LONGEST_LINE} characters")
+            if number == 1 and line.startswith(_UTF_16):
+                raise ValueError("it is UTF-16; save it as UTF-8")
             line = line.strip()
             if not line.startswith("#"):
                 yield number, line
