@@ -490,6 +490,34 @@ def test_a_copy_of_a_photo_is_no_time_of_its_own(tmp_path, name):
     assert recognise(root).facts["frames"] == 5 and recognise(root).notes == ()
 
 
+@pytest.mark.parametrize("count", [1, 3, 6])
+@pytest.mark.parametrize("name", ["IMG_E{:04d}.JPG", "img_e{:04d}.png", "IMG_{:04d}-edited.JPG", "IMG_{:04d}~2.JPG"])
+def test_edited_photos_beside_their_originals_are_no_times(tmp_path, name, count):
+    originals = [f"IMG_{i:04d}.JPG" for i in range(6)]
+    edits = [name.format(i) for i in range(count)]
+    root = pictures(tmp_path / "photos", [*originals, *edits])
+    capture = recognise(root)
+    assert list(capture.names) == originals
+    (note,) = [note for note in capture.notes if "edited" in note]
+    assert edits[0] in note and "IMG_0000.JPG" in note and not lines(root)
+
+
+def test_an_edited_photo_without_its_original_is_read(tmp_path):
+    root = pictures(tmp_path / "photos", ["IMG_0001.JPG", "IMG_0002.JPG", "IMG_E0003.JPG", "IMG_EAST.JPG"])
+    assert len(recognise(root).names) == 4
+
+
+def test_an_edited_clip_is_no_camera(tmp_path):
+    for name, step in (("IMG_0001.MOV", 10), ("IMG_E0001.MOV", 9)):
+        encode(tmp_path / name, levels(12, step))
+    capture = recognise(tmp_path)
+    assert capture.facts["cameras"] == 1 and {name.split("#")[0] for name in capture.names} == {"IMG_0001.MOV"}
+    assert any(note.startswith("IMG_E0001.MOV is left out: by its name it is an edited version") for note in capture.notes)
+    encode(tmp_path / "IMG_0002.MOV", levels(12, 8))
+    capture = recognise(tmp_path)
+    assert capture.facts["cameras"] == 2 and not lines(tmp_path)
+
+
 def test_photos_with_the_same_bytes_are_times_of_a_scene_that_stands_still(tmp_path):
     root = pictures(tmp_path / "photos", ["a (1).png"])
     for i in range(2, 5):

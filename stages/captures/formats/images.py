@@ -40,7 +40,8 @@ def read(root: Path, options: Options) -> Reading:
     prefix = f"{folder}/" if folder else ""
     listed = [prefix + name for name in _images(root / folder)]
     copied = copies.named_copies(root, listed)
-    found, deep, said = without_depth(root, [name for name in listed if name not in copied])
+    edits = copies.edited([name for name in listed if name not in copied])
+    found, deep, said = without_depth(root, [name for name in listed if name not in copied and name not in edits])
     found, dimmer, bracketed = middle_exposures(root, found)
     if len(found) < 2:
         if dimmer:
@@ -80,8 +81,18 @@ def read(root: Path, options: Options) -> Reading:
         sources=(*([prefix + CAMERA_MATRIX] if hint is not None else []), *copied),
         K_hint=hint,
         upright=upright,
-        notes=(*thinned, *decimals, *order, *told(root, paths), *copies.told(copied, "pictures"), *said, *bracketed, *masked),
-        spoken_for=(*deep, *dimmer),
+        notes=(
+            *thinned,
+            *decimals,
+            *order,
+            *told(root, paths),
+            *copies.told(copied, "pictures"),
+            *copies.told_edited(edits, "pictures"),
+            *said,
+            *bracketed,
+            *masked,
+        ),
+        spoken_for=(*deep, *dimmer, *edits),
     )
 
 

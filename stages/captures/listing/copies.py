@@ -12,6 +12,8 @@ from pathlib import Path
 # the other one is in any language
 _BEFORE = re.compile(r"(?:copy of|kopie von|copie de|copia de|kopia) (.+)", re.IGNORECASE)
 _AFTER = re.compile(r"[ .(-]|_(?=copy)", re.IGNORECASE)
+# edited pictures and clips: of an iPhone `IMG_E0007.JPG`, of Google Photos `a-edited.jpg` and `a~2.jpg`
+_EDITED = re.compile(r"(img_)e(\d{4,5})|(.+)(?:-edited|~\d)", re.IGNORECASE)
 
 
 def same_bytes(root: Path, names: Sequence[str]) -> dict[str, str]:
@@ -42,6 +44,33 @@ def named_copies(root: Path, names: Sequence[str]) -> dict[str, str]:
         if (other := next((o for o in others if o not in (None, name)), None)) is not None and _same(root / name, root / other):
             found[name] = other
     return found
+
+
+def edited(names: Sequence[str]) -> dict[str, str]:
+    """Those of `names`, pictures or videos, whose name says that they are an edited version of another one beside them, and that one. They
+    may be cropped, turned or shortened, so that the other one is sure to be what the camera saw."""
+    by_stem = {posixpath.splitext(name)[0].lower(): name for name in names}
+    found = {}
+    for name in names:
+        folder, file = posixpath.split(name)
+        match = _EDITED.fullmatch(posixpath.splitext(file)[0])
+        if match is not None:
+            original = by_stem.get(posixpath.join(folder, match[3] or match[1] + match[2]).lower())
+            if original is not None:
+                found[name] = original
+    return found
+
+
+def told_edited(found: dict[str, str], many: str) -> tuple[str, ...]:
+    """A line about edited versions that are left out. many: what they are."""
+    if not found:
+        return ()
+    name, other = next(iter(found.items()))
+    if len(found) == 1:
+        return (f"{name} is left out: by its name it is an edited version of {other}, which is read",)
+    return (
+        f"{len(found)} {many} are left out: by their names they are edited versions of others, which are read (first {name}, of {other})",
+    )
 
 
 def told(copies: dict[str, str], many: str) -> tuple[str, ...]:
