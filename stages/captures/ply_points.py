@@ -39,11 +39,21 @@ _ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_LIMIT = 64 * 2**10
 _BLOCK = 2**24  # bytes of an ASCII file that are split into words at a time
 _GREY = 128  # colour of points without one
+_COLOURS = (  # names of a vertex's colours, in small letters: usual ones, MeshLab's and older scanners'
+    ("red", "green", "blue"),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+    ("r", "g", "b"),
+    ("ambient_red", "ambient_green", "ambient_blue"),
+    ("scalar_red", "scalar_green", "scalar_blue"),
+)
+_HARMONIC = ("f_dc_0", "f_dc_1", "f_dc_2")  # of splats: colours as the first spherical harmonic
+_Y0 = 0.28209479177387814  # its value
+_FRACTION = 16.0  # float colours above it count to 255, not to 1
 
 
 def read_points(root: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P,3] float64 in the file's own world, and colours [P,3] uint8, of `root/name`; P may be 0. Float colours in the file are
-    taken to be in [0,1]. Scans (`SCANS`) are thinned.
+    """Points [P,3] float64 in the file's own world, and colours [P,3] uint8, grey without any, of `root/name`; P may be 0. Colours of a PLY
+    file count to 255; floats to 1 unless some are far above, 16-bit ones to 65535 if some exceed 255. Scans (`SCANS`) are thinned.
 
     Raises CaptureError for broken or truncated files, for vertices without x, y, z, and for values that are not finite.
     """
@@ -95,13 +105,30 @@ def _read_ply(path: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1), _colours(table, dict(fields), count, name)
 
 
+def told_grey(name: str, colours: np.ndarray) -> tuple[str, ...]:
+    """A line if the points of a PLY file came without colours."""
+    if not len(colours) or name.lower().endswith(tuple(SCANS)) or (colours != _GREY).any():
+        return ()
+    return (f"{name} has no colours under names that are known (red, green, blue): its points are grey",)
+
+
 def _colours(table: dict[str, np.ndarray], types: dict[str, str], count: int, name: str) -> np.ndarray:
-    if not all(channel in table for channel in ("red", "green", "blue")):
+    by_name = {field.lower(): field for field in table}
+    channels = next((c for c in (*_COLOURS, _HARMONIC) if all(channel in by_name for channel in c)), None)
+    if channels is None:
         return np.full((count, 3), _GREY, np.uint8)
-    values = np.stack([table[c].astype(np.float64) * (255 if types[c][0] == "f" else 1) for c in ("red", "green", "blue")], axis=1)
+    fields = [by_name[channel] for channel in channels]
+    values = np.stack([table[field].astype(np.float64) for field in fields], axis=1)
     bad = np.flatnonzero(~np.isfinite(values).all(1))
     if len(bad):
         raise CaptureError(f"{name}: vertex {bad[0]}: its colour is not a number; correct or remove the vertex")
+    kinds, most = {types[field] for field in fields}, values.max(initial=0.0)
+    if channels == _HARMONIC:
+        values = 255 * (0.5 + _Y0 * values)
+    elif all(kind[0] == "f" for kind in kinds):
+        values *= 255 if most <= _FRACTION else 1
+    elif kinds == {"u2"} and most > 255:
+        values /= 257  # 65535 is white
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 

@@ -74,6 +74,44 @@ def test_colours_may_be_fractions_or_absent(tmp_path, cloud):
     assert points.tolist() == [[0, 1, 2], [3, 4, 5]] and (colours == 128).all()
 
 
+COLOURS = {  # (names, type, values of (0, 64, 255) of 255)
+    "splat": ("f_dc_0 f_dc_1 f_dc_2", "float", [-1.7724538509, -0.8825592704, 1.7724538509]),
+    "diffuse": ("diffuse_red diffuse_green diffuse_blue", "uchar", [0, 64, 255]),
+    "16 bits": ("red green blue", "ushort", [0, 16448, 65535]),
+    "16 bits of which 8 are used": ("red green blue", "ushort", [0, 64, 255]),
+    "short names": ("R G B", "uchar", [0, 64, 255]),
+    "floats to 255": ("red green blue", "float", [0, 64, 255]),
+    "doubles to 1": ("red green blue", "double", [0, 64 / 255, 1]),
+}
+
+
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize("case", COLOURS)
+def test_colours_of_other_names_and_types(capture, case, order):
+    names, kind, values = COLOURS[case]
+    code = {"float": "<f4", "double": "<f8", "uchar": "u1", "ushort": "<u2"}[kind]
+    rows = np.zeros(2, [("x", "<f4", 3), ("c", code, 3)])
+    rows["x"], rows["c"] = [[0, 1, 2], [3, 4, 5]], [values, values[::-1]]
+    fields = [f"property float {axis}" for axis in "xyz"] + [f"property {kind} {name}" for name in names.split()]
+    head = "\n".join(["ply", f"format {order} 1.0", "element vertex 2", *fields, "end_header\n"])
+    text = "".join(" ".join(map(repr, [*x, *c])) + "\n" for x, c in zip(rows["x"].tolist(), rows["c"].tolist(), strict=True))
+    root = capture(None, "points.ply")
+    (root / "points.ply").write_bytes(head.encode() + (text.encode() if order == "ascii" else rows.tobytes()))
+    found = recognise(root)
+    assert found.points.tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert found.point_colors.tolist() == [[0, 64, 255], [255, 64, 0]] and not any("grey" in note for note in found.notes)
+
+
+def test_a_cloud_without_colours_is_said(capture, cloud):
+    root = capture(None, "points.ply")
+    rows = "".join(f"{x} {y} {z}\n" for x, y, z in cloud[0].tolist())
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(cloud[0])}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    (root / "points.ply").write_text(head + rows)
+    assert [note for note in recognise(root).notes if "grey" in note] == [
+        "points.ply has no colours under names that are known (red, green, blue): its points are grey"
+    ]
+
+
 def test_points_may_be_a_scan(capture, cloud):
     root = capture(None, "scan.xyz")
     (root / "scan.xyz").write_text("".join(f"{x} {y} {z}\n" for x, y, z in cloud[0].tolist()))

@@ -12,7 +12,7 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks, keep_masks
-from ..ply_points import read_points
+from ..ply_points import read_points, told_grey
 from ..reading import SPLITS, TRAIN, Options, Reading, Shot
 from . import transforms
 from .cameras_of_times import fixed_cameras
@@ -91,7 +91,7 @@ def read(root: Path, options: Options) -> Reading:
         sources=(*seen, *([cloud] if cloud else [])),
         points=points if len(points) else None,
         point_colors=colors if len(points) else None,
-        notes=(*notes, *missing),
+        notes=(*notes, *missing, *told_grey(cloud or "", colors)),
     )
 
 

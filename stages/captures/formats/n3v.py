@@ -17,7 +17,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..lens import Lens
-from ..ply_points import read_points
+from ..ply_points import read_points, told_grey
 from ..posed.llff_rows import camera_of, rows_of, told_order
 from ..posed.stated import states_layout
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
@@ -102,6 +102,7 @@ def _add_rest(root: Path, reading: Reading, rows: str | None, modelled: bool, ca
     if (root / _CLOUD).is_file() and (modelled or rows == _MULTIVIEW):
         points, colors = read_points(root, _CLOUD)
         reading.sources += (_CLOUD,)
+        reading.notes += told_grey(_CLOUD, colors)
         if len(points):
             reading.points, reading.point_colors = points, colors
 

@@ -12,7 +12,7 @@ import numpy as np
 from ....pipeline import CaptureError, counted
 from .. import checks, keep_masks
 from ..listing.numbers import SPLIT_WORDS
-from ..ply_points import read_points
+from ..ply_points import read_points, told_grey
 from ..posed.timestamps import timestamps
 from ..reading import SPLITS, TRAIN, Options, Reading, Shot
 from ..rigs import Placed, place_untimed
@@ -96,7 +96,7 @@ def read(root: Path, options: Options) -> Reading:
         sources=(_FILE, *([cloud] if cloud else []), *placed.others),
         points=points if len(points) else None,
         point_colors=colors if len(points) else None,
-        notes=(*found.notes, *said, *said_of_lenses, *placed.notes, *masked, *missing),
+        notes=(*found.notes, *said, *said_of_lenses, *placed.notes, *masked, *missing, *told_grey(cloud or "", colors)),
     )
 
 
