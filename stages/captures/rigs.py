@@ -6,7 +6,7 @@ import posixpath
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from . import checks
 from .listing.kinds import role_of
 from .listing.numbers import follow_numbers, places, set_times, two_numbers, words
+from .posed.time_folders import folders_are_times, named_as_times
 from .reading import Shot
 
 
@@ -44,12 +45,22 @@ class Placed:
 def place_untimed(
     root: Path, shots: Sequence[Shot], static: bool, fps: float | None, deleted: Sequence[str] = (), flat: bool = False
 ) -> Placed:
-    """Sets camera and time of each of ``shots``, whose files say neither: folders with files of the same names are the cameras of a rig;
-    cameras that stand still are told by names and poses; else one camera moved, and its pictures follow the numbers in their names.
+    """Sets camera and time of each of ``shots``, whose files say neither: folders with files of the same names are the cameras of a rig, or
+    its times; cameras that stand still are told by names and poses; else one camera moved, and its pictures follow the numbers in names.
 
     shots: in the order of their names. static: times do not matter. fps, deleted: see `set_times`, `cameras_of`. flat: folders are no
     cameras."""
-    rig = Rig() if flat else cameras_of(root, [shot.file or shot.name for shot in shots], deleted)
+    files = [shot.file or shot.name for shot in shots]
+    rig = Rig() if flat else cameras_of(root, files, deleted)
+    if rig != Rig():  # several folders
+        swapped, told = folders_are_times(shots)
+        if swapped and (told is None or rig.places is not None):  # poses say it also of folders from which pictures are missing
+            for shot, file in zip(shots, files, strict=True):
+                shot.camera = checks.natural_key(_frame(file))
+            clock, skipped = _clock([posixpath.dirname(file) for file in files])
+            set_times(shots, clock, max(clock) >= len(set(clock)), fps)
+            return Placed(True, tuple(line for line in (told, skipped) if line), rig.others)
+        rig = replace(rig, note=rig.note or told)
     notes = (rig.note,) if rig.note else ()
     if rig.places is not None:
         for shot, (camera, _) in zip(shots, rig.places, strict=True):
@@ -60,6 +71,14 @@ def place_untimed(
         return Placed(False, notes)
     named = cameras_in_names(shots, fps)
     return Placed(named is not None, (*notes, *(follow_numbers(shots, fps) if named is None else named)))
+
+
+def _clock(folders: Sequence[str]) -> tuple[list[int], str | None]:
+    """The place in time of each picture whose folder is a time, and a line if numbers of folders are missing."""
+    distinct = folders_of([f"{folder}/" for folder in folders])
+    clock, skipped = places([f"{folder}.png" for folder in distinct])
+    place = dict(zip(distinct, clock, strict=True))
+    return [place[folder] for folder in folders], skipped
 
 
 def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -> Rig:
@@ -171,8 +190,12 @@ def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
     ]
     also = f" (seen: {', '.join(seen[:6])})" if seen else ""
     shown, count = ", ".join(alike[:4]) + (", ..." if len(alike) > 4 else ""), len(named[alike[0]])
+    what = "as the cameras of a rig do"
+    if named_as_times(alike, sorted(named[alike[0]])):
+        what = "and their names are numbers, so each seems to be one time, with a picture of each camera"
+        also += ". Put the pictures of each camera into one folder"
     return (
-        f"The folders {shown} have {count} pictures of the same names each, as the cameras of a rig do, but no file that is read gives "
+        f"The folders {shown} have {count} pictures of the same names each, {what}, but no file that is read gives "
         f"their poses{also}. Add poses_bounds.npy with a row for each camera and name the folders cam00/, cam01/, ...; or put them into "
         "images/ beside a COLMAP model in sparse/0/; or encode each folder as a video and "
         "give the folder of videos, whose poses are then estimated"

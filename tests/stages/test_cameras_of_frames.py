@@ -68,6 +68,45 @@ def test_a_rig_whose_names_skip_numbers_has_gaps_in_time(tmp_path):
     assert capture.facts["fixed_cameras"] and any("the names skip 4 to 6" in note for note in capture.notes)
 
 
+@pytest.mark.parametrize("layout", ["transforms", "colmap"])
+@pytest.mark.parametrize(
+    "name", ["{t:04d}/cam{c}.png", "{t:04d}/{c:02d}.png", "frame{t:03d}/image_{c}.png", "{c:02d}/{t:04d}.png", "cam{c}/{t}.png"]
+)
+def test_poses_say_whether_folders_are_cameras_or_times(tmp_path, layout, name):
+    """NVIDIA's mv_images/00000/cam01.jpg, and the usual cam01/00000.jpg."""
+    pictures = [(name.format(t=t, c=c), t, c) for t in range(8) for c in range(4) if (t, c) != (5, 3)]
+    if layout == "colmap":
+        colmap(tmp_path, [file for file, _, _ in pictures], [float(c) for _, _, c in pictures])
+    else:
+        transforms(tmp_path, [{"file_path": f"images/{file}", "transform_matrix": at(c)} for file, _, c in pictures])
+    if name.index("{c") < name.index("{t"):  # a rig by its folders must be whole
+        picture(tmp_path / "images" / name.format(t=5, c=3))
+    capture = recognise(tmp_path)
+    assert (capture.facts["cameras"], capture.facts["times"], capture.facts["fixed_cameras"]) == (4, 8, True)
+    told = {f"images/{file}": (t, c) for file, t, c in pictures}
+    for file, time, camera in zip(capture.images or (), capture.time, capture.camera, strict=True):
+        assert (round(7 * float(time)), int(camera)) == told[file]
+    assert not any("read as" in note for note in capture.notes)
+
+
+def test_moving_cameras_are_told_from_times_by_names_alone_and_it_is_said(tmp_path):
+    for number, (name, cameras, words) in enumerate(
+        (
+            ("{t:05d}/cam{c}.png", 3, "are read as times, and the names as cameras"),
+            ("{c:05d}/{t:02d}.png", 3, "are read as cameras, and the names as times"),
+            ("cam{c}/{t:02d}.png", 3, None),
+            ("{c:02d}/frame{t:02d}.png", 3, None),
+        )
+    ):
+        frames = [
+            {"file_path": f"images/{name.format(t=t, c=c)}", "transform_matrix": at(c + 0.1 * t)} for t in range(6) for c in range(cameras)
+        ]
+        capture = recognise(transforms(tmp_path / str(number), frames))
+        assert (capture.facts["cameras"], capture.facts["times"]) == (cameras, 6), name
+        said = [note for note in capture.notes if "read as" in note]
+        assert (words is None and not said) or (words is not None and words in said[0])
+
+
 def test_cameras_in_one_folder_whose_names_skip_numbers_have_gaps_in_time(tmp_path):
     names = [f"cam{c}_{i}.png" for c in range(2) for i in (1, 2, 3, 7)]
     capture = recognise(colmap(tmp_path, names, [float(name[3]) for name in names]))

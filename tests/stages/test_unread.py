@@ -395,6 +395,12 @@ def test_a_rig_without_poses_in_a_folder_is_told_so_at_once(tmp_path, folder):
     assert "pass the one" not in str(refused.value)
 
 
+def test_folders_of_one_time_each_are_not_told_to_be_cameras(tmp_path):
+    root = pictures(tmp_path / "rig", [f"mv_images/{t:05d}/cam{c:02d}.jpg" for c in range(1, 4) for t in range(4)])
+    with pytest.raises(CaptureError, match=r"each seems to be one time.*Put the pictures of each camera into one folder"):
+        recognise(root)
+
+
 def test_folders_of_depth_and_masks_are_no_cameras(tmp_path):
     root = pictures(tmp_path / "scan", [f"{folder}/{t}.png" for folder in ("lowres_wide", "lowres_depth", "sem_masks") for t in range(3)])
     with pytest.raises(
