@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from ...pipeline import Context
+from ...vision.images.files import open_image
 from ...vision.images.focal_length import DETAILS, EQUIVALENT, film_focal_length
 from ...vision.images.pictures import composite
 
@@ -19,16 +20,6 @@ if TYPE_CHECKING:
 
 # How files begin that COLMAP reads: PNG, JPEG, BMP, TIFF (and TIFF above 4 GB). It reads no WebP, and no BMP without a file header.
 _READ_BY_COLMAP = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-
-
-def lens_groups(frames: FrameSet) -> list[int]:
-    """A number for each frame; frames with the same number share a lens. Pictures of different sizes count as different lenses, since they
-    come from another camera or another zoom."""
-    if frames.crop is None:
-        return [int(c) for c in frames.camera]
-    lenses = [(int(c), *crop) for c, crop in zip(frames.camera, frames.crop.tolist(), strict=True)]
-    number = {lens: n for n, lens in enumerate(dict.fromkeys(lenses))}
-    return [number[lens] for lens in lenses]
 
 
 def picture_folder(ctx: Context) -> Path:
@@ -56,7 +47,8 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
                 if linked and frames.files is not None:
                     _link(frames.root / frames.files[i], target)
                 else:
-                    exif = _focal_length(frames.root / frames.files[i]) if frames.files is not None and frames.crop is None else None
+                    part = None if frames.crop is None else frames.crop[i]
+                    exif = _focal_length(frames.root / frames.files[i], part) if frames.files is not None else None
                     _save(frames, i, target, exif)
             progress.advance()
     return names
@@ -89,9 +81,13 @@ def _save(frames: FrameSet, i: int, target: Path, exif: Image.Exif | None = None
     partial.replace(target)
 
 
-def _focal_length(file: Path) -> Image.Exif:
-    """EXIF data with only the picture's 35 mm equivalent focal length, from which COLMAP initialises the intrinsics."""
+def _focal_length(file: Path, part: np.ndarray | None) -> Image.Exif:
+    """EXIF data with only the picture's 35 mm equivalent focal length, from which COLMAP initialises the intrinsics. part: left, top,
+    width, height, px, of what is used of the file, whose focal length is that of the whole; None for the whole."""
     result, value = Image.Exif(), film_focal_length(file)
+    if value is not None and part is not None:
+        with open_image(file) as image:
+            value = round(value * max(image.size) / max(part[2:].tolist()))
     if value is not None:
         result[DETAILS] = {EQUIVALENT: value}
     return result

@@ -13,7 +13,8 @@ from ...vision.sfm.runner import WorkerError, finished, run_worker
 from ..facts import Facts
 from ..shared.frameset import FrameSet
 from .bars import Bars
-from .pictures import lens_groups, write_images, write_masks
+from .lens_groups import lens_groups
+from .pictures import write_images, write_masks
 from .second_pass import second_pass
 from .several import Several
 
@@ -37,11 +38,14 @@ def solve(ctx: Context, frames: FrameSet, several: Several | None, bars: Bars, b
     StageError if the worker fails."""
     settings, static, hint = ctx.settings, Facts.of(ctx.facts).static, frames.K_hint
     matcher = choose(settings.matcher, len(frames), static)
+    groups, lenses = lens_groups(frames)
+    if lenses and not several:
+        ctx.log(lenses)
     request = {
         "task": "reconstruct",
         "root": str(ctx.checkpoints / "images"),
         "names": [] if several else write_images(ctx, frames),
-        "cameras": lens_groups(frames),
+        "cameras": groups,
         "K_hint": None if hint is None else np.asarray(hint, np.float64).reshape(3, 3).tolist(),
         "keep": str(write_masks(ctx, frames)) if frames.masked else None,
         "width": frames.width,

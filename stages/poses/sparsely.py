@@ -11,6 +11,7 @@ from ...vision.sfm.between.pose_between import pose_between
 from ...vision.sfm.pairs import key_frames
 from ..shared.frameset import FrameSet
 from .bars import Bars
+from .lens_groups import lens_groups
 from .solve import Solved, solve
 
 ENOUGH = 0.5  # of all frames; if fewer have a pose, they may not be in order, or show too little of one another
@@ -18,9 +19,9 @@ ENOUGH = 0.5  # of all frames; if fewer have a pose, they may not be in order, o
 
 def solve_sparsely(ctx: Context, artifact: Artifact, frames: FrameSet, bars: Bars) -> Solved:
     """Cameras and points of the ``frames`` [F] of one camera, which are those of the ``frames`` ``artifact``: of all at once if they are
-    few, or if a part of them does not pose the others. Raises StageError if the worker fails."""
+    few, show several lenses, or if a part of them does not pose the others. Raises StageError if the worker fails."""
     keys = key_frames(len(frames))
-    if len(keys) == len(frames):
+    if len(keys) == len(frames) or len(set(lens_groups(frames)[0])) > 1:  # frames between are posed with the lens of the next
         return solve(ctx, frames, None, bars)
     found = solve(ctx, FrameSet(artifact, ctx.capture.root, chosen=keys), None, bars, "key_frames")
     done, most = 0, len(frames) - len(keys)
