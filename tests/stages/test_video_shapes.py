@@ -290,7 +290,7 @@ def test_360_degree_pictures_are_no_flat_views(tmp_path, words):
             assert recognise(root).facts["frames"] == 3
 
 
-@pytest.mark.parametrize("suffix", ["insv", "360", "BRAW"])
+@pytest.mark.parametrize("suffix", ["insv", "OSV", "360", "BRAW"])
 def test_a_file_of_a_closed_kind_gets_the_advice_of_its_folder(tmp_path, suffix):
     encode(tmp_path / "clip.mp4", [corner()] * 3).rename(tmp_path / f"clip.{suffix}")
     advice = "export it as MP4" + ("" if suffix == "BRAW" else ", reframed to a flat view")

@@ -18,7 +18,7 @@ _LINEAR = _LIGHT.format("linear", "linear")
 _LOG = f"{_LIGHT.format('log or linear', 'SPACE')} (SPACE is theirs, such as linear)"
 _RAW = "develop them to JPEG or to TIFF of 16 bits"
 _MP4 = "export them as MP4"
-_FLAT = "reframed to a flat view (Insta360 Studio, GoPro Player)"
+_FLAT = "reframed to a flat view (Insta360 Studio, GoPro Player, DJI Studio)"
 _RAWS = (
     *(".dng", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".sr2", ".raf", ".orf", ".rw2", ".pef", ".srw", ".x3f", ".3fr", ".gpr"),
     *(".kdc", ".dcr", ".mrw", ".erf", ".iiq", ".rwl", ".mos"),
@@ -42,6 +42,7 @@ _CLOSED = {  # suffixes of pictures and videos that no layout reads: (name, what
 _CLOSED_VIDEOS = {
     **{suffix: (suffix[1:].upper(), _MP4) for suffix in (".braw", ".crm", ".rmvb", ".svo", ".bag", ".mcap")},
     ".insv": ("INSV", f"{_MP4}, {_FLAT}"),
+    ".osv": ("OSV", f"{_MP4}, {_FLAT}"),
     ".360": ("360", f"{_MP4}, {_FLAT}"),
     ".r3d": ("R3D", "unpack them if they are Record3D's archives, or export them as MP4"),
 }
