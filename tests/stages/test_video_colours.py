@@ -196,3 +196,50 @@ def test_the_frame_has_the_last_word():
     frame = av.VideoFrame(16, 16, "yuv420p")
     frame.colorspace = 1
     assert frame_tags(frame, Tags(18, 9, 9)) == Tags(18, 9, 1)
+
+
+@pytest.mark.parametrize(
+    ("size", "matrix", "taken", "told"),
+    [
+        ((1280, 720), None, "709", True),
+        ((404, 720), None, "709", True),
+        ((1280, 640), None, "709", True),
+        ((1278, 718), None, "601", False),
+        ((1280, 720), 6, "601", False),
+        ((640, 480), 1, "709", False),
+    ],
+)
+def test_hd_video_that_states_no_matrix_has_that_of_players(tmp_path, size, matrix, taken, told):
+    """FFmpeg's converter takes BT.601 for all sizes, which shifts these colours by up to 27 of 255."""
+    red, blue = {"709": (0.2126, 0.0722), "601": (0.299, 0.114)}[taken]
+    width, height = size
+    codes = COLOURS.repeat(width // 8 + 1, 0)[:width] / 255
+    luma = codes @ (red, 1 - red - blue, blue)
+    planes = (
+        16 + 219 * luma,
+        128 + 224 * (codes[:, 2] - luma) / (2 - 2 * blue),
+        128 + 224 * (codes[:, 0] - luma) / (2 - 2 * red),
+    )
+    file = tmp_path / "clip.mkv"
+    with av.open(str(file), "w") as container:
+        stream = container.add_stream("libx264", rate=10, options={"qp": "2", "preset": "ultrafast"})
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv444p"
+        if matrix is not None:
+            stream.codec_context.colorspace = matrix
+        for k in range(2):
+            frame = av.VideoFrame(width, height, "yuv444p")
+            for plane, value in zip(frame.planes, planes, strict=True):
+                row = np.zeros((height, plane.line_size), np.uint8)
+                row[:, :width] = np.rint(value)
+                plane.update(row.tobytes())
+            if matrix is not None:
+                frame.colorspace = matrix
+            frame.pts, frame.time_base = k, Fraction(1, 10)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    capture = recognise(file)
+    shown = next(decode(capture.root, capture.videos[0], width, height))
+    step = width // 8 + 1
+    found = shown[height // 2, [min(width - 4, step * k + step // 2) for k in range(8)]]
+    assert np.abs(found.astype(int) - COLOURS).max() <= 4
+    assert any("BT.709 is taken" in note for note in capture.notes) is told

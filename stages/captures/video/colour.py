@@ -14,6 +14,8 @@ from ....vision.images.wide_colour import to_sdr
 # Values of ITU-T H.273, as FFmpeg gives them.
 _UNREAD_MATRICES = {8: "YCgCo", 10: "BT.2020 with constant luminance", 11: "SMPTE 2085", 14: "ICtCp"}
 _BT2020 = 9
+_BT709 = 1
+_HD = (1280, 720)  # px; from one of them on, players take BT.709 for a video that says nothing. FFmpeg's converter takes BT.601 for all.
 _FULL_RANGE = 2
 _DOLBY_VISION = ("dvh1", "dvhe", "dva1", "dvav", "dav1")
 
@@ -42,8 +44,9 @@ def frame_tags(frame: Any, container: Tags) -> Tags:
     )
 
 
-def colours_told(tags: Tags, name: str, codec_tag: str) -> str | None:
-    """A line about what is done with the colours; None if they are plain. Raises CaptureError for colours that cannot be shown."""
+def colours_told(tags: Tags, name: str, codec_tag: str, supposed: bool = False) -> str | None:
+    """A line about what is done with the colours; None if they are plain. supposed: see `supposed_hd`. Raises CaptureError for
+    colours that cannot be shown."""
     if tags.matrix in _UNREAD_MATRICES:
         raise CaptureError(
             f"{name}: colours coded as {_UNREAD_MATRICES[tags.matrix]}, which is not read; convert the video to BT.709 or HLG"
@@ -63,12 +66,20 @@ def colours_told(tags: Tags, name: str, codec_tag: str) -> str | None:
     if tags.primaries in UNREAD_GAMUTS:
         said.append(f"its primaries ({UNREAD_GAMUTS[tags.primaries]}) are not converted, so its colours differ from those of other cameras")
     said += [converted] if converted else []
+    if supposed:
+        said.append("it does not state its colour matrix; because of its size BT.709 is taken, as players do")
     return "; ".join(said) or None
+
+
+def supposed_hd(frame: Any, tags: Tags) -> bool:
+    """Whether the matrix of a frame whose file states none is taken to be that of BT.709 because of its size, as players do."""
+    large = frame.width >= _HD[0] or frame.height >= _HD[1]
+    return large and tags.matrix in UNSPECIFIED and tags.gamut != "BT.2020" and not _is_rgb(frame)
 
 
 def rgb_of(frame: Any, tags: Tags) -> np.ndarray:
     """The picture as stored, uint8 [H,W,3], SDR with the primaries of BT.709, coded as sRGB."""
-    matrix = tags.matrix
+    matrix = _BT709 if supposed_hd(frame, tags) else tags.matrix
     if matrix in UNSPECIFIED and not tags.is_plain and tags.gamut == "BT.2020" and not _is_rgb(frame):
         matrix = _BT2020
     if matrix != int(frame.colorspace):

@@ -17,7 +17,7 @@ from ..listing.refusals import of_video
 from ..panorama import refuse_video
 from ..video_files import open_video
 from .alpha import alpha_told
-from .colour import Tags, colours_told, frame_tags, stream_tags
+from .colour import Tags, colours_told, frame_tags, stream_tags, supposed_hd
 from .fields import FieldTest
 from .packets import Packets, read_packets
 from .shape import Shape, is_plausible, shape_of, turn_told
@@ -153,7 +153,8 @@ def _first(root: Path, name: str, tags: Tags, pixel: Fraction | None) -> _First:
             raise CaptureError(f"{name}: frame 0: the picture is damaged; copy or record the video again")
         refuse_video(frame, name)
         pixel = pixel or stream.codec_context.sample_aspect_ratio
-        shape, colours = shape_of(frame, pixel), colours_told(frame_tags(frame, tags), name, codec_tag)
+        shape, own = shape_of(frame, pixel), frame_tags(frame, tags)
+        colours = colours_told(own, name, codec_tag, supposed_hd(frame, own))
         found = _First(shape, frame.pts, pixel, colours, turn_told(frame), alpha_told(frame, stream), False, None, [frame.pts])
         if frame.interlaced_frame or field_order in _INTERLACED:
             test = FieldTest()
