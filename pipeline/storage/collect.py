@@ -111,6 +111,8 @@ def _trash(store: Store) -> list[Path]:
 
 
 def _put_back(store: Store, place: Path) -> None:
+    if not place.exists():
+        return  # the result had gone before it could be taken
     stage, key, _ = place.name.rsplit("-", 2)
     with store.lock_if_free(stage, key) as free:
         if not free:
@@ -124,6 +126,8 @@ def _put_back(store: Store, place: Path) -> None:
 def _remove(store: Store, place: Path) -> None:
     """Deletes a result from the trash. It moves to ``tmp`` first, because a result half deleted by a crash would be put back from the
     trash."""
+    if not place.exists():
+        return  # the result had gone before it could be taken
     gone = store.root / "tmp" / place.name
     gone.parent.mkdir(parents=True, exist_ok=True)
     os.rename(place, gone)

@@ -199,7 +199,7 @@ class Store:
 
     def take(self, stage: str, key: str, folder: str) -> Path | None:
         """Moves an artifact to another folder of the store in one rename and returns its new path. None if it stays, because a process
-        builds or uses it or because it cannot be locked."""
+        builds or uses it or because it cannot be locked. If it has already gone, there is nothing at the path that is returned."""
         place = self.root / folder / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
         place.parent.mkdir(parents=True, exist_ok=True)
         try:

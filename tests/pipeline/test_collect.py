@@ -151,6 +151,19 @@ def test_a_result_that_a_run_takes_up_meanwhile_is_put_back(store):
     store.open("s", "b").verify()
 
 
+@pytest.mark.parametrize("needed", [set(), {("s", "a")}], ids=["unused", "taken up"])
+def test_a_result_that_is_gone_already_ends_no_collection(store, needed):
+    """Somebody removes the folder by hand between the look at what there is and the removal."""
+
+    def live():
+        shutil.rmtree(store.path("s", "a"), ignore_errors=True)
+        return asked.pop(0)
+
+    asked = [set(), needed]
+    collect(store, live)
+    assert keys(store) == [] and not list((store.root / "trash").iterdir()), "what was taken is left in the trash"
+
+
 def test_remains_of_damage_and_of_dead_runs_go_and_checkpoints_when_they_are_old(store):
     place = store.quarantine("s", "a")
     (store.root / "tmp" / "s-b-dead").mkdir()
