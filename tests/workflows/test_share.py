@@ -141,6 +141,25 @@ def test_a_process_that_hangs_is_ended_though_it_will_not_hear(tmp_path, monkeyp
     assert log.read_text() == "begins\n"
 
 
+def test_a_process_that_ends_by_itself_meanwhile_is_no_error(tmp_path):
+    """The server of a fork waits for it, so its group may be gone although the last poll said that it runs."""
+
+    class Reaped:
+        def __init__(self) -> None:
+            with subprocess.Popen(["true"], start_new_session=True) as process:
+                self.pid = process.pid
+
+        def poll(self) -> None:
+            return None
+
+        def wait(self, timeout: float | None = None) -> int:
+            if timeout is not None:
+                raise subprocess.TimeoutExpired("true", timeout)
+            return 0
+
+    assert run_process(Reaped, tmp_path / "log.txt", None, lambda used: "", lambda: True).code is None
+
+
 def test_a_failed_process_is_explained_by_its_own_last_words(tmp_path):
     log = tmp_path / "log.txt"
     log.write_text("error: of an earlier stage\n")

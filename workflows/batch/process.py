@@ -96,12 +96,18 @@ def _memory_gb(pid: int) -> float:
 def _end(process: Process) -> None:
     """Ends the process and its group, which includes what it has started."""
     if process.poll() is None:
-        os.killpg(process.pid, signal.SIGTERM)
+        _signal(process, signal.SIGTERM)
         try:
             process.wait(GRACE)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
+            _signal(process, signal.SIGKILL)
             process.wait()
+
+
+def _signal(process: Process, number: signal.Signals) -> None:
+    """Sends a signal to the group, unless it has just ended: the server of a `forks.Fork` takes notice of that before we do."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, number)
 
 
 def _why(log: Path, begin: int, code: int) -> str:
