@@ -19,7 +19,7 @@ from e4dgs.workflows.batch.listing import Entry, entries_of
 from e4dgs.workflows.batch.sites.cluster import read_cluster
 from e4dgs.workflows.batch.sites.pools import Cluster
 from e4dgs.workflows.batch.sites.slurm import emit
-from e4dgs.workflows.batch.summary import COLUMNS, spread, worst_first
+from e4dgs.workflows.batch.summary import COLUMNS, spread, worst_first, write_summary
 from e4dgs.workflows.cli import main
 
 QUICK = {"coarse.iterations": "20", "hulls.budget": "0", "fine.iterations": "0", "evaluate.movie_frames": "0"}
@@ -128,6 +128,22 @@ def test_what_can_be_run_is_run_and_the_rest_is_told(finished, capsys):
     assert table[0]["psnr"] == metrics["splits"]["test"]["psnr"] and table[1]["psnr"] is None
     assert main(["status", "--workspace", str(folder / "work")]) == 0
     assert "pair: 1 failed, 1 done" in capsys.readouterr().out
+
+
+def test_two_heads_can_write_the_results_at_the_same_time(tmp_path, monkeypatch):
+    """One writes its own while the other is in the middle of its table."""
+    ledger = Ledger.create(tmp_path, "b", [Entry("a", "/captures/a")])
+    write_table = pyarrow.parquet.write_table
+
+    def meanwhile(table, where):
+        monkeypatch.setattr(pyarrow.parquet, "write_table", write_table)
+        write_table(table, where)
+        write_summary(ledger)
+
+    monkeypatch.setattr(pyarrow.parquet, "write_table", meanwhile)
+    write_summary(ledger)
+    assert len(pyarrow.parquet.read_table(ledger.folder / "results.parquet")) == 1
+    assert not list(ledger.folder.glob(".*"))
 
 
 def test_the_page_links_to_reports_and_players_and_shows_the_worst_first(finished):

@@ -88,9 +88,9 @@ def write_summary(ledger: Ledger) -> Path:
     whole = {"gaussians", "convexes", "attempts"}
     kinds = {True: pyarrow.float64(), False: pyarrow.string()}
     schema = pyarrow.schema([(name, pyarrow.int64() if name in whole else kinds[name in numbers]) for name in COLUMNS])
-    part = ledger.folder / ".results.parquet"
-    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(rows, schema), part)
-    os.replace(part, ledger.folder / "results.parquet")
+    table = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(rows, schema), table)
+    write_atomically(ledger.folder / "results.parquet", table.getvalue())
 
     page = ledger.folder / "results.html"
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
