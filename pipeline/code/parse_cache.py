@@ -57,14 +57,20 @@ class ParseCache:
         return self._known[key]
 
 
-def cache_file() -> Path | None:
-    """The cache file: in $E4DGS_CACHE, or else in e4dgs/ below $XDG_CACHE_HOME or ~/.cache. None if there is no home folder either."""
+def cache_folder() -> Path | None:
+    """Folder of what is kept between runs: $E4DGS_CACHE, or else e4dgs/ below $XDG_CACHE_HOME or ~/.cache. None if there is no home folder
+    either."""
     chosen, base = os.environ.get("E4DGS_CACHE"), os.environ.get("XDG_CACHE_HOME", "")
     try:
-        folder = Path(chosen).expanduser() if chosen else (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "e4dgs"
+        return Path(chosen).expanduser() if chosen else (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "e4dgs"
     except RuntimeError:
         return None
-    return folder / "sources.json"
+
+
+def cache_file() -> Path | None:
+    """The file of this cache. None if there is no folder for it."""
+    folder = cache_folder()
+    return folder / "sources.json" if folder is not None else None
 
 
 def _load() -> dict[str, dict[str, Any]]:

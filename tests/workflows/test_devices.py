@@ -91,6 +91,31 @@ def test_an_edit_of_any_kernel_asks_again(machine, monkeypatch, tmp_path):
     assert len(copied) > 25 and len(proofs) == len(copied) + 1
 
 
+def test_the_agreement_lies_where_all_caches_do(machine, monkeypatch, tmp_path):
+    machine.cuDriverGetVersion = lambda pointer: 0
+    for name in ("E4DGS_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert devices._proof().parent == tmp_path / ".cache" / "e4dgs"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    assert devices._proof().parent == tmp_path / ".cache" / "e4dgs", "a relative one is to be ignored"
+    monkeypatch.setenv("E4DGS_CACHE", "~/mine")
+    assert devices._proof().parent == tmp_path / "mine"
+
+
+def test_without_a_home_folder_kernels_are_checked_each_time(machine, monkeypatch):
+    def no_home() -> None:
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in ("E4DGS_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    asked = []
+    monkeypatch.setattr(devices.Path, "home", no_home)
+    monkeypatch.setattr(devices.subprocess, "run", lambda command, **_: asked.append(command) or types.SimpleNamespace(returncode=0))
+    machine.cuDriverGetVersion = lambda pointer: 0
+    assert resolve_device("cuda") == resolve_device("auto") == "cuda" and len(asked) == 2
+
+
 def test_a_selftest_that_does_not_end_is_no_proof(machine, monkeypatch, tmp_path):
     def run(command, timeout, **_):
         raise devices.subprocess.TimeoutExpired(command, timeout)

@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ...pipeline import SettingsError
+from ...pipeline.code.parse_cache import cache_folder
 
 DEVICES = ("auto", "cpu", "cuda")
 SELFTEST_SECONDS = 300  # time limit; the first self-test also compiles the kernels
@@ -65,7 +66,7 @@ def why_not_trusted() -> str | None:
     """Why the GPU cannot be trusted, or None if a small render and a training step on it agree with the CPU's. They run in a separate
     process. Agreement is remembered for these kernels, torch and driver."""
     proof = _proof()
-    if proof.is_file():
+    if proof is not None and proof.is_file():
         return None
     command = [sys.executable, "-m", "e4dgs.scene.selftest"]
     try:
@@ -75,14 +76,16 @@ def why_not_trusted() -> str | None:
     if done.returncode:
         said = (done.stdout.strip() or done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
         return f"a small training step on the GPU went wrong: {said}"
-    with suppress(OSError):  # the check is then repeated next time
-        proof.parent.mkdir(parents=True, exist_ok=True)
-        proof.touch()
+    if proof is not None:
+        with suppress(OSError):  # the check is then repeated next time
+            proof.parent.mkdir(parents=True, exist_ok=True)
+            proof.touch()
     return None
 
 
-def _proof() -> Path:
-    """A file that exists once these CUDA kernels, with this torch and driver, have agreed with the CPU's on this machine."""
+def _proof() -> Path | None:
+    """A file that exists once these CUDA kernels, with this torch and driver, have agreed with the CPU's on this machine. None if there is
+    no folder for it."""
     state = hashlib.sha256()
     for path in sorted(path for folder in KERNELS for path in (PACKAGE / folder).rglob("*")):
         if path.suffix in (".cu", ".cuh", ".h", ".py"):
@@ -92,8 +95,8 @@ def _proof() -> Path:
     state.update((Path(spec.origin).parent / "version.py").read_bytes())
     ctypes.CDLL("libcuda.so.1").cuDriverGetVersion(ctypes.byref(driver))
     state.update(f"{driver.value} {os.environ.get('CUDA_VISIBLE_DEVICES')}".encode())
-    cache = Path(os.environ.get("E4DGS_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "e4dgs")
-    return cache / f"cuda-agrees-{state.hexdigest()[:20]}"
+    folder = cache_folder()
+    return folder / f"cuda-agrees-{state.hexdigest()[:20]}" if folder is not None else None
 
 
 def processor() -> str:
