@@ -1,5 +1,6 @@
 """`e4dgs bench`: every row at a tiny size, and what is printed and written."""
 
+import errno
 import json
 import math
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.pipeline import SettingsError
-from e4dgs.workflows.bench import scenes
+from e4dgs.workflows.bench import output, scenes
 from e4dgs.workflows.bench.rows import Bench, Check
 from e4dgs.workflows.bench.suites import SUITES
 from e4dgs.workflows.bench.threads import over_threads
@@ -140,3 +141,17 @@ def test_the_garden_scene_is_read_from_its_file(tmp_path):
     np.savez(path, means3d=arrays["means3d"])
     with pytest.raises(SettingsError, match=r"garden\.npz: expected arrays means3d, colors"):
         scenes.garden(Bench(garden=path))
+
+
+def test_numbers_of_earlier_rows_survive_a_disk_that_fills_up(tmp_path, monkeypatch):
+    """The file is written again after each row."""
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    out = tmp_path / "new" / "out.json"
+    output.write(out, {"rows": {"a": float("nan")}})
+    monkeypatch.setattr("e4dgs.pipeline.files.os.fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        output.write(out, {"rows": {"a": 1, "b": 2}})
+    assert json.loads(out.read_text()) == {"rows": {"a": None}}

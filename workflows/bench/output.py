@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ...pipeline import say
+from ...pipeline.files import write_atomically
 from .rows import Bench, Check, Measured, Row
 
 PASSED = {True: "[green]pass[/]", False: "[red]miss[/]", None: ""}
@@ -76,9 +77,9 @@ def report(suite: str, bench: Bench, facts: dict[str, Any], rows: dict[str, dict
 
 
 def write(path: Path, content: dict[str, Any]) -> None:
-    """Writes JSON. Numbers that are not finite become null, since JSON cannot hold them."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(_finite(content), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    """Writes JSON atomically, because it is written again after each row and the rows before must not be lost. Numbers that are not finite
+    become null, since JSON cannot hold them."""
+    write_atomically(path, json.dumps(_finite(content), indent=1, ensure_ascii=False) + "\n")
 
 
 def _finite(value: Any) -> Any:
