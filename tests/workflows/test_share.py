@@ -141,6 +141,13 @@ def test_a_process_that_hangs_is_ended_though_it_will_not_hear(tmp_path, monkeyp
     assert log.read_text() == "begins\n"
 
 
+def test_a_process_that_takes_too_much_is_ended_whatever_it_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr("e4dgs.workflows.batch.process.LOOK_AT_MEMORY", 0.0)
+    log = tmp_path / "log.txt"
+    ended = run_process(started(["sleep", "60"], log), log, 60.0, lambda used: "ended after it took 9 GB", lambda: False)
+    assert ended.code is None and ended.memory and ended.problem == "ended after it took 9 GB"
+
+
 def test_a_process_that_ends_by_itself_meanwhile_is_no_error(tmp_path):
     """The server of a fork waits for it, so its group may be gone although the last poll said that it runs."""
 

@@ -58,31 +58,31 @@ def run_process(
     begin = log.stat().st_size if log.is_file() else 0
     process = start()
     try:
-        code, problem = _wait(process, started, timeout, too_large, stopped)
+        code, problem, memory = _wait(process, started, timeout, too_large, stopped)
     finally:
         _end(process)
     seconds = time.monotonic() - started
     if code is None:
-        return Ended(None, seconds, problem, memory=bool(problem) and not problem.startswith("ended after"))
+        return Ended(None, seconds, problem, memory)
     return Ended(code, seconds, _why(log, begin, code) if code else "", memory=code == -signal.SIGKILL)
 
 
 def _wait(
     process: Process, started: float, timeout: float | None, too_large: Callable[[float], str], stopped: Callable[[], bool]
-) -> tuple[int | None, str]:
-    """Exit code, or None and why the process must be ended."""
+) -> tuple[int | None, str, bool]:
+    """Exit code, or None and why the process must be ended; and whether that is for its memory."""
     looked = started
     while not stopped():
         with contextlib.suppress(subprocess.TimeoutExpired):
-            return process.wait(LOOK), ""
+            return process.wait(LOOK), "", False
         now = time.monotonic()
         if timeout is not None and now - started > timeout:
-            return None, f"ended after {timeout:.0f} s (--stage-timeout); what it has done so far is kept"
+            return None, f"ended after {timeout:.0f} s (--stage-timeout); what it has done so far is kept", False
         if now - looked > LOOK_AT_MEMORY:
             looked = now
             if problem := too_large(_memory_gb(process.pid)):
-                return None, problem
-    return None, ""
+                return None, problem, True
+    return None, "", False
 
 
 def _memory_gb(pid: int) -> float:
