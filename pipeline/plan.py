@@ -33,6 +33,7 @@ class Row:
     damage: str = ""  # which file of the stored result is damaged, and how
     source: Path | None = None  # for a cached row: another store that holds the result, which has yet to be copied into this one
     earlier: Earlier | None = None  # for a row that runs: the earlier result whose items are reused
+    continues: bool = False  # for a row that runs: from a checkpoint
 
     def as_json(self) -> dict[str, Any]:
         shown = {"stage": self.stage, "state": self.state, "reason": self.reason, "task": self.task}
@@ -76,14 +77,15 @@ def assess(job: Job, stage: Stage, inputs: Mapping[str, Artifact | None], forced
         reason = f"is taken from {source}"
         return Row(stage.name, "cached", reason, None, key, parts, artifact, applies.reason, damage, source)
     reason = "forced" if forced else f"damaged: {damage}" if damage else _run_reason(job, stage, parts, key)
-    if not forced and _has_entries(job, stage, key):
+    continues = not forced and _has_entries(job, stage, key)
+    if continues:
         reason += "; continues from a checkpoint"
     facts, earlier = job.capture.facts, None if forced else find_earlier(job, stage, parts, key, inputs)
     if earlier is not None:
         reason += f"; {earlier.new} of {earlier.total} {stage.items} are new"
         facts = {**facts, "new_items": earlier.new}
     estimate = stage.estimate(facts, settings)
-    return Row(stage.name, "run", reason, estimate, key, parts, task=applies.reason, damage=damage, earlier=earlier)
+    return Row(stage.name, "run", reason, estimate, key, parts, task=applies.reason, damage=damage, earlier=earlier, continues=continues)
 
 
 def _elsewhere(job: Job, stage: str, key: str) -> tuple[Path, Artifact] | None:

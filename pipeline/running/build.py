@@ -35,6 +35,7 @@ class Outcome:
     seconds: float = 0.0
     peak_rss_mb: float = 0.0
     artifact: Artifact | None = None
+    partly: bool = False  # it did a part of its work, and the rest had been done: by an earlier result, or up to a checkpoint
 
     def as_json(self) -> dict[str, Any]:
         return {"state": self.state, "reason": self.reason, "seconds": self.seconds, "peak_rss_mb": self.peak_rss_mb}
@@ -101,7 +102,7 @@ class Builder:
             if checkpoints.is_dir() and not any(checkpoints.iterdir()):
                 checkpoints.rmdir()
         job.records.write(stage.name, key, parts, artifact.digest)
-        return Outcome(stage.name, "ran", row.reason, seconds, peak.mb, artifact)
+        return Outcome(stage.name, "ran", row.reason, seconds, peak.mb, artifact, partly=row.continues or row.earlier is not None)
 
     def _call(self, stage: Stage, context: Context) -> None:
         refuse_edited(stage, context.device)

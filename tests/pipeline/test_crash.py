@@ -114,6 +114,7 @@ def test_a_killed_stage_is_never_taken_for_done_and_continues(bench):
     job.settings["slow"] = job.settings["slow"].model_copy(update={"seconds": 0.05})  # the killed run's settings
     row = make_plan(job)[1]
     assert row.state == "run" and row.reason == "never run for this scene; continues from a checkpoint"
+    assert row.continues
     made = Runner(job).run()[1].artifact
     assert made.info["started_at"] >= 5
     assert made.read("steps").tolist() == list(range(60))

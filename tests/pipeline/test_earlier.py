@@ -86,6 +86,7 @@ def test_only_what_is_new_is_made_and_the_result_is_that_of_a_fresh_run(bench, a
     bench.numbers.write_text("1 7 2 3")
     outcome, squared = run(bench)
     assert squared == ["7"] and outcome.reason.endswith("; 1 of 4 squares are new")
+    assert outcome.partly
     assert outcome.artifact.digest == afresh("1 7 2 3")
 
 

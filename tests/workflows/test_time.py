@@ -186,8 +186,8 @@ def test_speeds_are_learned_step_by_step(tmp_path):
     assert known.stage_ratio("flow") == 3.0, "the machine is as slow as elsewhere"
 
 
-def outcome(seconds, reason="never run for this scene", state="ran"):
-    return Outcome("flow", state, reason, seconds)
+def outcome(seconds, reason="never run for this scene", state="ran", partly=False):
+    return Outcome("flow", state, reason, seconds, partly=partly)
 
 
 def test_any_whole_stage_teaches_the_speed(tmp_path):
@@ -195,14 +195,14 @@ def test_any_whole_stage_teaches_the_speed(tmp_path):
     job = SimpleNamespace(graph={"flow": stage}, settings={"flow": None}, capture=SimpleNamespace(facts={}))
     known = Known(tmp_path, "cpu")
     for part in (
-        outcome(30, "input frames changed; 3 of 9 pairs are new"),
-        outcome(30, "x; continues from a checkpoint"),
+        outcome(30, "input frames changed; 3 of 9 pairs are new", partly=True),
+        outcome(30, "x; continues from a checkpoint", partly=True),
         outcome(30, state="cached"),
     ):
         known.learn_stage(job, part)
     assert known.machine_ratio() == 1.0
-    known.learn_stage(job, outcome(5.0))
-    assert known.machine_ratio() == 0.5
+    known.learn_stage(job, outcome(5.0, "settings.note: colours are new -> continues from a checkpoint"))
+    assert known.machine_ratio() == 0.5, "words of a reason may be a person's"
 
 
 def test_a_plan_without_a_time_follows_the_speed_that_runs_showed(dnerf_capture, tmp_path, capsys):

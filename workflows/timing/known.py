@@ -20,7 +20,6 @@ from .steps.costs import StepCosts
 FILE = "timing.json"
 NEW = 0.5  # weight of the newest observation
 LEAST, MOST = 0.05, 20.0  # ratios beyond these are accidents
-PARTLY = ("continues from a checkpoint", " are new")  # in the reason of a stage that did a part of its work; the rest had been done
 LEAST_SECONDS = 3.0  # taken and expected, from which a time says something about the machine
 
 
@@ -60,7 +59,7 @@ class Known:
 
     def learn_stage(self, job: Job, outcome: Outcome) -> None:
         """Takes the time of a stage into its ratio, if it did the whole of its work."""
-        if outcome.state != "ran" or any(words in outcome.reason for words in PARTLY):
+        if outcome.state != "ran" or outcome.partly:
             return
         estimate = job.graph[outcome.stage].estimate(job.capture.facts, job.settings[outcome.stage])
         if estimate is not None:

@@ -132,7 +132,7 @@ class Timed:
         """Compares what a stage took with what was expected."""
         self.known.learn_stage(self.job, outcome)
         name = outcome.stage
-        if outcome.state != "ran" or "continues from" in outcome.reason:
+        if outcome.state != "ran" or outcome.partly:
             return
         if name == FINE:
             self.known.learn(outcome.seconds, self._refinement_step * (self.decisions.value(REFINING) or 0), FINE, kind(self.job))
