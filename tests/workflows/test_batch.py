@@ -130,6 +130,15 @@ def test_what_can_be_run_is_run_and_the_rest_is_told(finished, capsys):
     assert "pair: 1 failed, 1 done" in capsys.readouterr().out
 
 
+def test_a_worker_makes_no_other_scene_of_its_batch(tmp_path, monkeypatch):
+    """It asks for its own before each part: making all of them each time is quadratic."""
+    entries = [Entry(name, f"/captures/{name}") for name in "abc"]
+    ledger, made = Ledger.create(tmp_path, "b", entries), []
+    from_json = Entry.from_json
+    monkeypatch.setattr(Entry, "from_json", lambda row: made.append(row["name"]) or from_json(row))
+    assert ledger.entry("b") == entries[1] and ledger.entry("d") is None and made == ["b"]
+
+
 def test_two_heads_can_write_the_results_at_the_same_time(tmp_path, monkeypatch):
     """One writes its own while the other is in the middle of its table."""
     ledger = Ledger.create(tmp_path, "b", [Entry("a", "/captures/a")])

@@ -85,10 +85,18 @@ class Ledger:
 
     def entries(self) -> list[Entry]:
         """The scenes of the batch. Raises SettingsError if there is no such batch."""
+        return [Entry.from_json(row) for row in self._rows()]
+
+    def entry(self, scene: str) -> Entry | None:
+        """The scene of this name, None if the batch has none. Raises SettingsError if there is no such batch."""
+        row = next((row for row in self._rows() if row["name"] == scene), None)  # the others are not made: workers ask for each part
+        return None if row is None else Entry.from_json(row)
+
+    def _rows(self) -> list[dict[str, Any]]:
         content = read_json(self.folder / "batch.json")
         if not isinstance(content, dict):
             raise SettingsError(f"{self.folder}: there is no such batch; batches here: {', '.join(batches(self.workspace)) or 'none'}")
-        return [Entry.from_json(row) for row in content["scenes"]]
+        return content["scenes"]
 
     def command(self) -> str:
         """The command that resumes the batch, "" if it was not recorded."""

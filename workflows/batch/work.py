@@ -75,7 +75,7 @@ def _run_part(
     stopped: Callable[[], bool],
     take: Take,
 ) -> bool:
-    entry = next((entry for entry in ledger.entries() if entry.name == scene), None)
+    entry = ledger.entry(scene)
     if entry is None:  # since this was submitted, the batch has been given another list, in which nobody looks for the scene's state
         return False
     progress = ledger.progress(scene)
