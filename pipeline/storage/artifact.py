@@ -152,12 +152,14 @@ class Artifact:
 
     def read(self, name: str, part: Any = ...) -> np.ndarray:
         """A whole array, with every file compared with the manifest, or only the ``part`` that an index or slice selects. Raises
-        ArtifactError if a chunk is damaged."""
+        ArtifactError if a chunk is damaged, and without advice to make it again if it only cannot be read now."""
         self._known(name)
         try:
             layout = layout_of(json.loads(self._checked(f"{name}/zarr.json"))) if part is ... else None
             data: Any = read_chunks(self.path, name, layout, self.manifest["files"]) if layout is not None else self.array(name)[part]
         except (ValueError, RuntimeError, OSError) as error:
+            if isinstance(error, OSError) and error.errno is not None and not _is_damage(error):
+                raise _unreadable(self.path, name, error) from error
             raise ArtifactError(f"{self.path}: array {name!r} is damaged ({error}); {AGAIN}") from error
         if not is_held_at(self._held, self.path / MANIFEST):
             raise ArtifactError(f"{self.path}: another process has replaced this artifact while {name!r} was read; run again")
@@ -187,7 +189,11 @@ class Artifact:
 def _unreadable(path: Path, name: str, error: OSError) -> ArtifactError:
     """DamagedError if a file is gone or the disk cannot read it. Problems that may be temporary (permissions, too many open files) do not
     count as damage and give an ArtifactError."""
-    if error.errno in (errno.ENOENT, errno.EIO, errno.EISDIR, errno.ENOTDIR):
+    if _is_damage(error):
         file = os.path.relpath(error.filename, path) if error.filename else name
         return DamagedError(path, file, f"cannot be read ({error.strerror})", AGAIN)
     return ArtifactError(f"{error.filename or path / name}: cannot be read ({error.strerror})")
+
+
+def _is_damage(error: OSError) -> bool:
+    return error.errno in (errno.ENOENT, errno.EIO, errno.EISDIR, errno.ENOTDIR)

@@ -1,7 +1,9 @@
 """Arrays read and written without zarr are those that zarr reads and writes, whatever their type, shape and chunks; every damaged byte is
 found."""
 
+import errno
 import json
+import os
 
 import numpy as np
 import pytest
@@ -150,6 +152,20 @@ def test_a_chunk_that_goes_while_an_artifact_is_open_is_no_zeros(small):
         with pytest.raises(DamagedError, match=r"x/c/1/0.*has gone while"):
             read()
     assert small.read("x", slice(0, 2)).shape[0] == 2, "what is there can still be read"
+
+
+@pytest.mark.parametrize("code", [errno.EACCES, errno.EMFILE])
+@pytest.mark.parametrize("part", [..., slice(0, 2)], ids=["whole", "part"])
+def test_a_chunk_that_cannot_be_read_now_is_no_damage(small, monkeypatch, code, part):
+    """Making the result again would take an hour and change nothing."""
+
+    def refuse(*_):
+        raise OSError(code, os.strerror(code), str(small.path / "x/c/0/0"))
+
+    monkeypatch.setattr("e4dgs.pipeline.storage.chunks._read", refuse)
+    monkeypatch.setattr("zarr.storage._local._get", refuse)
+    with pytest.raises(ArtifactError, match=rf"x/c/0/0: cannot be read \({os.strerror(code)}\)$"):
+        small.read("x", part)
 
 
 def test_a_chunk_of_another_artifact_is_no_chunk_of_this(small, quick_folder):
