@@ -139,24 +139,6 @@ def test_auto_is_the_cpu_kernels_for_tensors_on_the_cpu() -> None:
     assert torch.equal(scene.render("auto").color, scene.render("cpu").color)
 
 
-@needs_cpu
-def test_two_runs_and_any_number_of_threads_are_bit_equal() -> None:
-    scene = random_scene(9, gaussians=100, convexes=50, degree=2, extras=2, width=64, height=48).to(torch.float32)
-    weights = cotangents(scene.render("cpu"))
-    threads, runs = torch.get_num_threads(), []
-    try:
-        for count in (1, 1, 2, 4):
-            torch.set_num_threads(count)
-            runs.append((scene.render("cpu"), gradients(scene, "cpu", weights)))
-    finally:
-        torch.set_num_threads(threads)
-    for frame, found in runs[1:]:
-        for output in ("color", "alpha", "depth", "extras", "visible_gaussians", "visible_convexes"):
-            assert torch.equal(getattr(frame, output), getattr(runs[0][0], output))
-        for name in found:
-            assert torch.equal(found[name], runs[0][1][name]), name
-
-
 def some_tiles(scene: Scene, seed: int = 0) -> Scene:
     """The scene, of which only about half of the tiles are drawn."""
     rows, columns = -(-scene.camera.height // TILE), -(-scene.camera.width // TILE)

@@ -26,7 +26,7 @@ def results(scene: Scene, weights: dict[str, Tensor]) -> dict[str, Tensor]:
 
 @pytest.mark.parametrize("options", SCENES.values(), ids=SCENES.keys())
 def test_ten_runs_with_1_2_and_4_threads_are_bit_equal(instruction_set: str, options: dict) -> None:  # type: ignore[type-arg]
-    scene = random_scene(70, degree=1, extras=2, width=70, height=52, size=0.15, **options).to(torch.float32)
+    scene = random_scene(70, degree=2, extras=2, width=70, height=52, size=0.15, **options).to(torch.float32)
     weights = cotangents(scene.render("cpu"))
     torch.set_num_threads(RUNS[0])
     first = results(scene, weights)
