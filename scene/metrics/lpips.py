@@ -1,7 +1,7 @@
 """LPIPS (Zhang et al. 2018): distance between normalised features of a trained network, weighted per channel.
 
 AlexNet and VGG16 are implemented here up to their last convolution. Published weights are read from a safetensors file with
-torchvision's names: "features.N.weight", "features.N.bias" and the linear heads "link.weight" [1, C, 1, 1], k = 0..4.
+torchvision's names: "features.N.weight", "features.N.bias" and the linear heads "lin0.weight" to "lin4.weight", [1, C, 1, 1] each.
 """
 
 from __future__ import annotations

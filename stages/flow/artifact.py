@@ -1,4 +1,4 @@
-"""Reads the `flow` artifact, one pair or frame at a time. `flow_writer.py` writes it."""
+"""Reads the `flow` artifact, one pair or frame at a time. `artifact_writer.py` writes it."""
 
 from __future__ import annotations
 

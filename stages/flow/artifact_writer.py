@@ -1,4 +1,4 @@
-"""Writes a `flow` artifact, one pair or frame at a time. `flow.py` reads it."""
+"""Writes a `flow` artifact, one pair or frame at a time. `artifact.py` reads it."""
 
 from __future__ import annotations
 

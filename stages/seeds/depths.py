@@ -1,7 +1,8 @@
 """Depth of moving objects seen by one moving camera. The camera cannot measure it, but the static scene behind and below bounds it.
 
 An object that stands on the floor is as far away as the floor at its lowest pixel, or nearer if the picture border cuts it off. Any other
-object is only known to be nearer than what it hides. Objects keep their size, so the depth from one frame gives it for all (`objects.py`).
+object is only known to be nearer than what it hides. Objects keep their size, so the depth from one frame gives it for all
+(`vision/moving/followed_parts.py`).
 """
 
 from __future__ import annotations

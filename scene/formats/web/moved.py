@@ -1,4 +1,4 @@
-"""The motions of a web scene at one time. `workflows/player/motion.js` and the shaders compute the same."""
+"""The motions of a web scene at one time. `workflows/player/scripts/motion.js` and the shaders compute the same."""
 
 from __future__ import annotations
 

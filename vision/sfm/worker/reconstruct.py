@@ -29,7 +29,7 @@ DEFAULT_FOCAL = 1.2  # of the longer side; COLMAP's default for images without E
 
 
 def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Reconstructs the images of `request`, whose keys are those that `poses.py` writes.
+    """Reconstructs the images of `request`, whose keys are those that `stages/poses/solve.py` writes.
 
     Returns arrays `registered` [n] bool, `K` [n,3,3], `cam_from_world` [n,4,4] (NaN where not registered), `distortion` [n,4]
     (k1 k2 p1 p2), `size` [n,2] (width, height of the file), `points` [P,3], `colors` [P,3] uint8, `errors` [P] px, `tracks` [P]
