@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from ..pipeline import StageError
+from ..pipeline.choice.evenly import evenly
 from .sfm.alignment import camera_centres
 from .sfm.runner import Progress, WorkerError, run_worker
 
@@ -94,11 +95,9 @@ def choose_frames(train: np.ndarray, time: np.ndarray, max_frames: int) -> np.nd
     """Sorted indices of the frames to use: all cameras at some evenly spread times, or for one camera frames evenly spread over time."""
     times = np.unique(time[train])
     cameras = len(train) / max(1, len(times))
-    if cameras < 2:
-        return train[_even(len(train), max_frames)]
-    if len(times) == 1:
-        return train[_even(len(train), max_frames)]
-    wanted = times[_even(len(times), max(1, min(3, int(max_frames / cameras))))]
+    if cameras < 2 or len(times) == 1:
+        return evenly(train, max_frames)
+    wanted = evenly(times, max(1, min(3, int(max_frames / cameras))))
     return train[np.isin(time[train], wanted)]
 
 
@@ -132,15 +131,6 @@ def choose_pairs(cam_from_world: np.ndarray, time: np.ndarray) -> list[tuple[int
 def thrice(pairs: list[tuple[int, int]]) -> bool:
     """Whether some frame is in two pairs, so that a point can have three views."""
     return len({frame for pair in pairs for frame in pair}) < 2 * len(pairs)
-
-
-def _even(count: int, most: int) -> np.ndarray:
-    """At most `most` of `count` indices, evenly spread, first and last among them."""
-    if count <= most:
-        return np.arange(count)
-    if most == 1:
-        return np.array([0])
-    return np.unique(np.round(np.linspace(0, count - 1, most)).astype(np.int64))
 
 
 def _write_images(frameset: PosedPictures, frames: np.ndarray, folder: Path, progress: Progress | None) -> list[str]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
 from ..training.curriculum import MIN_CAMERAS
 from ..views import Views
 
@@ -32,12 +33,12 @@ def clean_plates(views: Views, mask: Callable[[int], np.ndarray | None], fixed: 
     times = np.unique(views.time[views.train])
     frames = views.train[views.time[views.train] == times[len(times) // 2]]
     if len(frames) < MIN_CAMERAS and not fixed:
-        frames = views.train[np.unique(np.linspace(0, len(views.train) - 1, min(FRAMES, len(views.train))).round().astype(int))]
-    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(MOST, len(frames))).round().astype(int))]
+        frames = evenly(views.train, FRAMES)
+    frames = evenly(frames, MOST)
     pictures, static = [], []
     for i in frames:
         looks = views.train[views.camera[views.train] == views.camera[i]] if fixed else np.array([i])
-        looks = looks[np.unique(np.linspace(0, len(looks) - 1, min(LOOKS, len(looks))).round().astype(int))]
+        looks = evenly(looks, LOOKS)
         pictures.append(np.median(np.stack([views.load(int(j)) for j in looks]), axis=0).astype(np.uint8))
         masks = [m for j in looks if (m := mask(int(j))) is not None]
         moves = np.mean(masks, axis=0) >= 0.5 if masks else np.zeros((views.height, views.width), bool)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
 from ..views import Views
 
 LOOKS = 31  # pictures of which the background is the median
@@ -18,7 +19,7 @@ def background(views: Views, unsteady: Callable[[int], np.ndarray | None]) -> np
     """uint8 [H, W, 3]: the median over time of the pixels that show the static scene, or of all where none ever does.
 
     unsteady(i): [H, W] bool, pixels of frame i that show something else; None: none do."""
-    looks = views.train[np.unique(np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int))]
+    looks = evenly(views.train, LOOKS)
     pictures, masks = [views.load(int(i)) for i in looks], [unsteady(int(i)) for i in looks]
     result = np.empty_like(pictures[0])
     for top in range(0, views.height, ROWS):

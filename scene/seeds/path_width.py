@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
 from ..views import Views
 
 POINTS, LOOKS = 500, 60  # of each, at most; evenly spread
@@ -12,8 +13,8 @@ POINTS, LOOKS = 500, 60  # of each, at most; evenly spread
 def path_width(views: Views, points: np.ndarray) -> float:
     """Median over the ``points`` [P, 3] (world units) of the angle in degrees between the two outermost directions from which training
     frames see a point; 0 if none sees any."""
-    points = points[np.unique(np.linspace(0, len(points) - 1, min(POINTS, len(points))).round().astype(int))]
-    chosen = views.train[np.unique(np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int))]
+    points = evenly(points, POINTS)
+    chosen = evenly(views.train, LOOKS)
     ray = points[:, None] - views.centres()[chosen]  # [P, F, 3]
     ray = ray / np.maximum(np.linalg.norm(ray, axis=2, keepdims=True), 1e-12)
     seen = np.zeros(ray.shape[:2], bool)

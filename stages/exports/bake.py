@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...pipeline import SettingsError, StageError, counted
+from ...pipeline.choice.evenly import evenly
 from .capture_cameras import camera_of, distinct_views
 from .plain import PlainLook, compensated
 
@@ -94,7 +95,7 @@ def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:
     plain = PlainLook.unchanged(len(model.gaussians)) if antialiased else PlainLook.of(model, frames)
     if not len(model.convexes):
         return Baked(model, GaussianFit.uniform(reference, 1.0), plain, antialiased)
-    few = frames.train[np.linspace(0, len(frames.train) - 1, min(LOOKS, len(frames.train))).round().astype(int)]
+    few = evenly(frames.train, LOOKS)
     starts = [Baked(model, GaussianFit.uniform(reference, spread), plain, antialiased) for spread in SPREADS]
     best = starts[int(np.argmin([_error(start, frames, few) for start in starts]))]
     return min((best, replace(best, fit=_fitted(best, frames))), key=lambda baked: _error(baked, frames, few))

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
+
 if TYPE_CHECKING:
     from ...scene.model import Model
     from ..shared.frameset import FrameSet
@@ -123,7 +125,7 @@ def looked_at(frames: FrameSet, model: Model) -> np.ndarray:
 
     assert frames.cam_from_world is not None and frames.K is not None
     places = []
-    for i in frames.train[np.linspace(0, len(frames.train) - 1, min(LOOKS, len(frames.train))).round().astype(int)]:
+    for i in evenly(frames.train, LOOKS):
         K, pose = frames.K[i], frames.cam_from_world[i]
         camera = Camera(torch.tensor(K).float(), torch.tensor(pose).float(), frames.width, frames.height, model.near)
         frame = model.render(camera, float(frames.time[i]))

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
+
 if TYPE_CHECKING:
     from ...rasterizer import Camera
     from ...scene.model import Model
@@ -17,7 +19,7 @@ def distinct_views(frames: FrameSet, indices: np.ndarray, most: int) -> np.ndarr
     assert frames.cam_from_world is not None
     _, first = np.unique(frames.cam_from_world[indices].reshape(len(indices), 16), axis=0, return_index=True)
     own = indices[np.sort(first)]
-    return own[np.linspace(0, len(own) - 1, min(most, len(own))).round().astype(int)]
+    return evenly(own, most)
 
 
 def camera_of(model: Model, frames: FrameSet, i: int) -> Camera:

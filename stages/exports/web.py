@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...pipeline import counted
+from ...pipeline.choice.evenly import evenly
 from .capture_cameras import camera_of, distinct_views
 from .web_scene import web_scene
 
@@ -134,7 +135,7 @@ def lost(model: Model, scene: WebScene, frames: FrameSet) -> Lost:
     """How far renders of ``scene`` are from those of ``model``, from held-out cameras if there are enough, at their own times."""
     chosen = np.concatenate([frames.test, frames.val])
     chosen = chosen if len(chosen) >= LOOKS else np.concatenate([chosen, frames.train])
-    chosen = chosen[np.linspace(0, len(chosen) - 1, min(LOOKS, len(chosen))).round().astype(int)]
+    chosen = evenly(chosen, LOOKS)
     error = []
     for i in chosen:
         camera, t = camera_of(model, frames, int(i)), float(frames.time[i])

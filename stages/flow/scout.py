@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
 from ...vision.flow.method import Dis, size_within
 from ...vision.moving.motion_mask import FLOOR, smoothed
 from ..shared.frameset import FrameSet
@@ -45,7 +46,7 @@ def working_size(frames: FrameSet, wanted: Sequence[int], max_size: int | None) 
     longest = max(size_within(frames.width, frames.height, max_size))
     if longest <= ENOUGH:
         return longest, float("nan")
-    chosen = [wanted[round(k)] for k in np.linspace(0, len(wanted) - 1, min(SAMPLES, len(wanted)))]
+    chosen = evenly(wanted, SAMPLES)
     motion = max(motion_between(frames.both(i)[0], frames.both(int(frames.next[i]))[0]) for i in chosen)
     return (max(ENOUGH, longest // 2) if motion < LITTLE else longest), motion
 

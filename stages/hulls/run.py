@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from ...pipeline import Context
+from ...pipeline.choice.evenly import evenly
 from ...scene.primitives import SH_C0, ConvexSet
 from ..coarse.artifact import required
 from ..shared.dataset import load_frameset, load_views
@@ -30,7 +31,7 @@ def place_convexes(ctx: Context) -> None:
     )
     if most:
         views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
-        frames = views.train[np.linspace(0, len(views.train) - 1, min(VIEWS, len(views.train))).round().astype(int)]
+        frames = evenly(views.train, VIEWS)
         found = edge_seeds(model, views, [int(i) for i in frames])
     chosen = choose(found, settings, most)
     if most:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from ...pipeline import Context
+from ...pipeline.choice.evenly import evenly
 from ...scene.seeds.clean_plates import clean_plates
 from ...scene.seeds.colours import median_colours
 from ...scene.seeds.rays import ray_seeds
@@ -31,7 +32,7 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
     chosen = middle_frames(views)
     rig = len(chosen) >= MIN_CAMERAS
     if not rig:
-        chosen = views.train[np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int)]
+        chosen = evenly(views.train, LOOKS)
     masks = [unsteady_mask(ctx, frames, int(i)) for i in chosen]
     seed = ctx.settings.seed
     found: dict[str, np.ndarray] = {}

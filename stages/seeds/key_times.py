@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
 from ..flow.artifact import StoredFlow
 
 KEYS = 24  # least number of times at which seeds are placed
@@ -20,7 +21,7 @@ def key_times(times: np.ndarray, apart: float, most: int | None = None) -> np.nd
     """Indices into ``times`` [T] of the key times, at which seeds are placed: evenly spread, including the first and the last; about
     ``apart`` frames from one another, but at least `KEYS` and not more than ``most``."""
     count = max(KEYS, int(len(times) / apart))
-    return np.unique(np.linspace(0, len(times) - 1, min(count, len(times), most or count)).round().astype(int))
+    return evenly(np.arange(len(times)), min(count, most or count))
 
 
 def apart_by_speed(farthest: float, way: float, speed: float) -> float:

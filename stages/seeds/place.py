@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...pipeline import Context
+from ...pipeline.choice.evenly import evenly
 from ...scene.seeds.carve import carve
 from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.outliers import trusted
@@ -149,7 +150,7 @@ def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, moving_seede
         share, where = FIXED_SHARE, "no fixed camera sees a change"
     elif flow is not None and flow.has_moving:
         train = views.train
-        chosen = train[np.linspace(0, len(train) - 1, min(LOOKS, len(train))).round().astype(int)]
+        chosen = evenly(train, LOOKS)
         looks = [(int(i), flow.moving(int(i))) for i in chosen]
         share, where = MOVING_SHARE if moving_seeded else COVERED_SHARE, "hardly anything was seen to move"
     else:

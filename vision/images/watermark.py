@@ -8,6 +8,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
+
 PICTURES, LEAST_PICTURES = 24, 12  # how many pictures are looked at, and how many it takes to judge
 LONGEST = 960  # px, longest side of the pictures that are looked at
 BLUR = 0.8  # px, against the noise of compression
@@ -26,7 +28,7 @@ BATCH = 50_000  # pixels that are judged at once, so that memory stays small
 
 def sampled(count: int) -> list[int]:
     """Which of ``count`` pictures, in their order, `find_watermark` should see: evenly spaced ones, or none if there are too few."""
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, PICTURES).round())] if count >= LEAST_PICTURES else []
+    return evenly(range(count), PICTURES) if count >= LEAST_PICTURES else []
 
 
 def find_watermark(pictures: Iterable[np.ndarray]) -> np.ndarray | None:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
+
 SAMPLES = 25  # frames for the background and its noise; all frames are then compared with it
 SMOOTH = 1.2  # px, averages out sensor noise before the comparison; the noise is measured after smoothing
 FLOOR = 5.0  # grey levels; compression shifts flat areas by less, and 8 bits hold nothing finer
@@ -101,6 +103,4 @@ def motion_mask(load: Callable[[int], np.ndarray], frames: Sequence[int], grow: 
 
 def sample(frames: Sequence[int], count: int = SAMPLES) -> list[int]:
     """Up to ``count`` of ``frames``, evenly spaced, including both ends."""
-    if len(frames) <= count:
-        return list(frames)
-    return [frames[round(k)] for k in np.linspace(0, len(frames) - 1, count)]
+    return list(evenly(frames, count))

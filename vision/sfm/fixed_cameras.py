@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
+
 SIZE = 1280  # px of the longest side at which features are tracked; larger pictures are scaled down
 LOOKS = 6  # frames, spread over the capture, that are compared with the first
 TILES, FEATURES = (8, 6), 12  # tiles across and down, and features in each, so that one textured object does not take all features
@@ -20,7 +22,7 @@ def is_fixed(picture: Callable[[int], np.ndarray], frames: Sequence[int], shake:
     shifted against one another. False if the pictures give no evidence."""
     if len(frames) < 2:
         return False
-    chosen = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, LOOKS + 1).round().astype(int))]
+    chosen = evenly(frames, LOOKS + 1)
     first = _grey(picture(chosen[0]))
     corners = _corners(first)
     places = [np.zeros(2)]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
 from ..sequences import camera_sequences
 from .pairs import choose, image_pairs
 
@@ -49,7 +50,7 @@ def choose_looks(camera: np.ndarray, time: np.ndarray, fixed: Mapping[int, bool]
     sequences = camera_sequences(camera, time)
     shared = sorted(set.intersection(*({float(time[i]) for i in mine} for mine in sequences.values())))
     count = look_times(len(sequences), len(shared))
-    seen = {shared[k] for k in np.linspace(0, len(shared) - 1, count).round().astype(int)} if shared else set()
+    seen = set(evenly(shared, count))
     frames: list[int] = []
     image: list[int] = []
     pairs: set[tuple[int, int]] = set()

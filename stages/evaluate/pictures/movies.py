@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from ....pipeline import ArtifactWriter, Context
+from ....pipeline.choice.evenly import evenly
 from ....rasterizer import Camera
 from ....vision.images.movie import encode_movie
 from ...exports.camera_path import named_path
@@ -44,7 +45,7 @@ def in_order_of_time(frames: FrameSet, indices: Sequence[int], most: int) -> lis
     if len(first) < 2 or most < LEAST:
         return []
     ordered = [chosen[k] for k in first]
-    return [ordered[round(k)] for k in np.linspace(0, len(ordered) - 1, min(most, len(ordered)))]
+    return evenly(ordered, most)
 
 
 def _beside(judge: Judge, frames: FrameSet, i: int) -> np.ndarray:
