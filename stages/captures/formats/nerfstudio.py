@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import posixpath
-import unicodedata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ....pipeline import CaptureError, counted
+from ....pipeline.names import composed
 from .. import checks, keep_masks
 from ..listing.numbers import SPLIT_WORDS
 from ..ply_points import read_points, told_grey
@@ -160,4 +160,4 @@ def _normal(root: Path, path: str) -> str:
         path = checks.relative(root, path, _FILE)
     except CaptureError:  # a path of another machine
         path = posixpath.normpath(path)
-    return unicodedata.normalize("NFC", path)
+    return composed(path)

@@ -14,6 +14,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from ....pipeline import CaptureError
+from ....pipeline.names import composed
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".webp", ".bmp", ".tif", ".tiff")
 VIDEO_SUFFIXES = (
@@ -137,10 +138,10 @@ def seek_image(root: Path, name: str, where: str) -> str | None:
 def elsewhere(root: Path, name: str) -> str | None:
     """Path relative to `root` of the one picture in the capture that has the file name of `name`, in whatever folder; None if there is
     none or several. For messages: the search looks at up to 50,000 files."""
-    wanted = unicodedata.normalize("NFC", posixpath.basename(name.replace("\\", "/")))
+    wanted = composed(posixpath.basename(name.replace("\\", "/")))
     found = None
     for path in _walk(root):
-        own = unicodedata.normalize("NFC", posixpath.basename(path))
+        own = composed(posixpath.basename(path))
         if is_image(path) and wanted in (own, posixpath.splitext(own)[0]):
             if found is not None:
                 return None

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import os
 import posixpath
-import unicodedata
 from collections.abc import Collection, Iterator
 from functools import cached_property
 from pathlib import Path
 
+from ....pipeline.names import composed
 from .. import checks
 
 MOST_LISTED = 500_000  # pictures of a capture that are looked through for one that is not where it should be
@@ -85,10 +85,6 @@ class Pictures:
     @property
     def _all(self) -> Iterator[str]:
         return (path for paths in self._named.values() for path in paths)
-
-
-def composed(text: str) -> str:
-    return unicodedata.normalize("NFC", text)
 
 
 def stem_of(path: str) -> str:
