@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ....pipeline import thread_count
-from ....pipeline.files import digest_bytes, digest_file
+from ....pipeline.files import digest_bytes, digest_file, write_atomically
 from . import onsets
 
 KEPT_FROM = 60.0  # s of sound from which the result is cached; shorter sound is analysed again in a tenth of a second
@@ -63,15 +62,7 @@ def _read(place: Path) -> tuple[np.ndarray, float] | None:
 def _write(place: Path, found: tuple[np.ndarray, float]) -> None:
     values = io.BytesIO()
     np.save(values, np.concatenate([[found[1]], found[0]]), allow_pickle=False)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    handle, part = tempfile.mkstemp(prefix=".", dir=place.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(_digest(place, values.getvalue()) + values.getvalue())
-        os.replace(part, place)
-    except OSError:
-        os.unlink(part)
-        raise
+    write_atomically(place, _digest(place, values.getvalue()) + values.getvalue())
 
 
 def _digest(place: Path, values: bytes) -> bytes:
