@@ -20,6 +20,7 @@ from ...scene.metrics.ssim import ssim
 from ...scene.model import Model
 from ...scene.motion.times import corrected
 from ...vision.images.pictures import composite
+from ..exports.capture_cameras import camera_of
 from ..shared.frameset import FrameSet
 
 OTHER = {"white": "black", "black": "white"}
@@ -36,9 +37,7 @@ class Judge:
         self._medians: dict[int, np.ndarray] = {}  # by camera, of a few of its pictures
 
     def camera(self, i: int) -> Camera:
-        assert self.frames.K is not None and self.frames.cam_from_world is not None
-        K, pose = (torch.tensor(a[i], dtype=torch.float32) for a in (self.frames.K, self.frames.cam_from_world))
-        return Camera(K, pose, self.frames.width, self.frames.height, self.model.near)
+        return camera_of(self.model, self.frames, i)
 
     def moment(self, i: int) -> float:
         """Time of frame i in [0, 1], by what training found of its camera's clock."""
