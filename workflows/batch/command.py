@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.console import Console
 
-from ...pipeline import SettingsError, counted, say
+from ...pipeline import SettingsError, counted, say, split_assignment
 from ...stages.captures import usual
 from ..machine.terminal import make_console
 from ..machine.writable import writing_to
@@ -174,7 +174,5 @@ def _refuse_what_is_local(given: dict[str, Any], executor: str, emit: str | None
 
 
 def _split(text: str) -> tuple[str, str]:
-    key, sign, value = text.partition("=")
-    if not sign or "." not in key:
-        raise SettingsError(f"--set {text}: expected STAGE.KEY=VALUE")
-    return key, value
+    stage, key, value = split_assignment(text)
+    return f"{stage}.{key}", value
