@@ -21,16 +21,19 @@ LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_by
 @dataclass(eq=False)  # two stages that want the same are still two stages
 class Lease:
     """What a stage may use. threads: None leaves it to the stage. most_gb: a stage that takes more is ended; None for no limit. used_gb:
-    memory that it was last seen to use."""
+    memory that it was last seen to use. share: of a machine that several stages use, which then says who must end."""
 
     wanted: Resources
     threads: int | None = None
     most_gb: float | None = None
     used_gb: float = 0.0
+    share: Share | None = None
 
     def too_large(self, used_gb: float) -> str:
         """Why the stage must end now that it uses ``used_gb``; "" if it may go on."""
         self.used_gb = used_gb
+        if self.share is not None:
+            return self.share.too_large(self)
         if self.most_gb is None or used_gb <= self.most_gb:
             return ""
         return (
@@ -55,7 +58,7 @@ class Share:
     def take(self, wanted: Resources, scenes: int) -> Iterator[Lease]:
         """Waits until the stage can run or the batch was stopped. scenes: number being worked on now, including this one."""
         threads = max(1, self.cores // max(1, scenes))
-        lease = _Shared(wanted, min(threads, wanted.cores or threads), share=self)
+        lease = Lease(wanted, min(threads, wanted.cores or threads), share=self)
         with self._changed:
             self._waiting.append(lease)
             while not (self._fits(lease) or self._stopped()):
@@ -90,16 +93,6 @@ class Share:
             f"ended at {lease.used_gb:.1f} GB: all stages together took {total:.1f} GB and may take {self.memory_gb:.1f} GB (--memory); "
             f"use smaller pictures (--set frames.max_size=N) or more memory"
         )
-
-
-@dataclass(eq=False)
-class _Shared(Lease):
-    share: Share | None = None
-
-    def too_large(self, used_gb: float) -> str:
-        self.used_gb = used_gb
-        assert self.share is not None
-        return self.share.too_large(self)
 
 
 def cores() -> int:
