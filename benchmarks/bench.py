@@ -14,8 +14,7 @@ from pathlib import Path
 
 from bench_rows.plots import draw
 from bench_rows.suites import SUITES
-from e4dgs.pipeline import SettingsError
-from e4dgs.workflows.bench.output import show_file
+from e4dgs.pipeline import SettingsError, say
 from e4dgs.workflows.bench.rows import Bench
 from e4dgs.workflows.bench.run import run
 from e4dgs.workflows.bench.suites import REPEATS, SECONDS
@@ -46,7 +45,7 @@ def main(words: list[str] | None = None) -> None:
         raise SystemExit(str(wrong)) from wrong
     if args.plot and measured:
         for path in draw(args.plot, measured):
-            show_file(console, "plot", path)
+            say(f"plot: {path}", to=console)
 
 
 if __name__ == "__main__":

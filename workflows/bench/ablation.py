@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ...pipeline import SettingsError
+from ...pipeline import SettingsError, say
 from ...pipeline.files import write_atomically
 from ...stages.hulls.defaults import CONVEXES
 from ..machine.places import typed_path
@@ -90,7 +90,7 @@ def ablation(
         output.write(out / "ablation.json", content(runs, machine(), jobs[0][0]))  # after each run, so a failure does not lose earlier ones
         write(out, summaries(runs), f"Preset {options.preset}. {' '.join(options.assignments)}")
     console.print(table(summaries(runs)))
-    output.show_file(console, "table", out / "ablation.html")
+    say(f"table: {out / 'ablation.html'}", to=console)
 
 
 def choose(names: str | None) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ...pipeline import say
 from ..machine.places import typed_path
 from ..machine.terminal import make_console
 from ..options import Captures, Debug, of_captures, seen_as
@@ -108,6 +109,6 @@ def pipeline(
     console.print(table(summaries(runs)))
     if plot is not None:
         draw(plot, summaries(runs))
-        output.show_file(console, "plot", plot)
+        say(f"plot: {plot}", to=console)
     if out is not None:
-        output.show_file(console, "numbers", out)
+        say(f"numbers: {out}", to=console)

@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ...pipeline import say
 from ...pipeline.files import write_atomically
 from .rows import Bench, Check, Measured, Row
 
@@ -48,11 +47,6 @@ def show_row(console: Console, row: Row, measured: Measured, judged: bool) -> No
         for cells in measured.table:
             more.add_row(*map(escape, cells))
         console.print(more)
-
-
-def show_file(console: Console, what: str, path: Path) -> None:
-    """Prints that a file was written."""
-    say(f"{what}: {path}", to=console)
 
 
 def row_json(row: Row, measured: Measured) -> dict[str, Any]:

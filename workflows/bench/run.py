@@ -46,5 +46,5 @@ def run(
     finally:
         torch.set_num_threads(before)
     if out is not None:
-        output.show_file(console, "numbers", out)
+        say(f"numbers: {out}", to=console)
     return measured

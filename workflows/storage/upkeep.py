@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -36,9 +37,7 @@ def gc(
     most = bytes_of("--keep-bytes", keep_bytes) if keep_bytes is not None else None
     age = seconds_of("--older-than", older_than) if older_than is not None else None
 
-    def live() -> dict[tuple[str, str], tuple[str, ...]]:
-        return users(workspace)
-
+    live = partial(users, workspace)
     with writing_to(workspace):
         spared = _caches(workspace, store, most, age, dry_run)
     for_results = None if most is None else max(0, most - spared)
