@@ -190,13 +190,6 @@ class Store:
                     used.append((os.stat(Path(entry.path) / MANIFEST).st_mtime_ns, entry.name))
         return [key for _, key in heapq.nlargest(count, used)]
 
-    def remove(self, stage: str, key: str) -> bool:
-        """Removes an artifact in one step (after a crash it is there completely or not at all). False if a process builds or uses it."""
-        place = self.take(stage, key, "tmp")
-        if place is not None:
-            shutil.rmtree(place, ignore_errors=True)
-        return place is not None
-
     def take(self, stage: str, key: str, folder: str) -> Path | None:
         """Moves an artifact to another folder of the store in one rename and returns its new path. None if it stays, because a process
         builds or uses it or because it cannot be locked. If it has already gone, there is nothing at the path that is returned."""

@@ -31,7 +31,7 @@ def test_failing_at_any_write_leaves_all_or_nothing(bench, error, forced):
     digest, key = whole.digest, whole.path.name
     del whole  # who holds an artifact keeps it from being removed
     for n in range(1, 200):
-        assert forced or bench.store.remove("numbers", key)
+        assert forced or bench.store.take("numbers", key, "tmp")
         with FailNth(n, error, bench.root).patched() as failure, contextlib.suppress(StageError, OSError, Crash):
             Runner(bench.job()).run(stages, force=stages if forced else ())
         found = bench.store.has("numbers", key)
@@ -68,7 +68,7 @@ def test_failing_while_damage_is_set_aside_leaves_the_damaged_or_a_whole_result(
             break
         key = made.path.name
         del made  # who holds an artifact keeps it from being removed
-        assert bench.store.remove("clipped", key), "or each round would verify the results of all before it once more"
+        assert bench.store.take("clipped", key, "tmp"), "or each round would verify the results of all before it once more"
     assert n > 10, "the loop must have failed at many places before it got through"
 
 

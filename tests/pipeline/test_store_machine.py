@@ -58,7 +58,7 @@ class StoreMachine(RuleBasedStateMachine):
 
     @rule(key=KEYS)
     def remove(self, key):
-        assert self.store.remove("s", key)
+        assert self.store.take("s", key, "tmp")
         self.model.pop(key, None)
 
     @rule()
