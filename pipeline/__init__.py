@@ -4,7 +4,6 @@ from .earlier import Earlier
 from .errors import ArtifactError, CaptureError, DamagedError, PipelineError, SettingsError, StageError
 from .graph import Graph, check_targets
 from .job import Job
-from .keys import capture_digest
 from .machine.resources import Resources
 from .machine.threads import thread_count
 from .plan import Row, make_plan
@@ -50,7 +49,6 @@ __all__ = [
     "StageError",
     "Store",
     "build_settings",
-    "capture_digest",
     "check_targets",
     "collect",
     "counted",

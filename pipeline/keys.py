@@ -24,11 +24,6 @@ def capture_files(capture: Capture) -> dict[str, str]:
         ) from error
 
 
-def capture_digest(capture: Capture) -> str:
-    """BLAKE3 digest of the relative names and contents of all files of a capture. Raises CaptureError if a file cannot be read."""
-    return digest_of_files(capture_files(capture))
-
-
 def digest_of_files(digests: Mapping[str, str]) -> str:
     """One digest of the mapping that `capture_files` returns."""
     return digest_bytes(canonical_json(digests))

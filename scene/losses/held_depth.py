@@ -28,10 +28,6 @@ class HeldDepth:
     def __init__(self, maps: Mapping[int, Tensor], unit: float) -> None:
         self._maps, self.unit = maps, unit
 
-    def covers(self, frame: int) -> bool:
-        """Whether ``frame`` has a map."""
-        return frame in self._maps
-
     def of(self, frame: int, height: int, width: int) -> Tensor | None:
         """The map of ``frame`` resized to [2, height, width]; None if it has none."""
         found = self._maps.get(frame)

@@ -70,7 +70,6 @@ class RigidAndSteady(Term):
 
     def value(self, rendered: Rendered, inputs: tuple[Tensor | None, Tensor | None]) -> Tensor:
         (chosen, noise), motion, means = inputs, rendered.model.motion, rendered.model.gaussians.means.detach()
-        assert motion is not None
         rest = means[:0] if chosen is None else means[chosen]
         beside = rest if noise is None else rest + NEIGHBOURHOOD * self.run.unit * noise
         strain, course = motion.priors(rest, beside, rendered.time, self.run.dt)

@@ -52,15 +52,15 @@ def test_the_gradient_is_that_of_the_loss():
 
 def test_maps_are_resized():
     maps = HeldDepth({3: torch.tensor([[[0.25, 0.5]], [[1.0, 0.5]]])}, 1.0)
-    assert maps.covers(3) and not maps.covers(4) and maps.of(4, 1, 2) is None
+    assert maps.of(4, 1, 2) is None
     found = maps.of(3, 2, 4)
     assert found.shape == (2, 2, 4) and torch.equal(found[0], torch.tensor([[0.25, 0.25, 0.5, 0.5]] * 2))
 
 
 def test_the_term_is_due_where_something_is_held_and_sees_the_window_alone():
     model, run = (trainer := begun("lifetimes")).model, trainer.objective.run
-    (frame, *_), (width, height) = (i for i in run.views.train.tolist() if run.held_depth.covers(i)), run.views.size(1.0)
-    bare = next(i for i in run.views.train.tolist() if not run.held_depth.covers(i))
+    (frame, *_), (width, height) = (i for i in run.views.train.tolist() if run.held_depth.of(i, 1, 1) is not None), run.views.size(1.0)
+    bare = next(i for i in run.views.train.tolist() if run.held_depth.of(i, 1, 1) is None)
     term, now = MovingDepth(run), Now(frame, 0, 1.0, True)
     assert term.due(model, now) and term.inputs(model, now)[0].shape == (2, height, width)
     assert term.inputs(model, replace(now, window=(3, 5, 11, 9)))[0].shape == (2, 4, 8)

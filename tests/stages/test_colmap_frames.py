@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.pipeline.keys import capture_digest
+from e4dgs.pipeline.keys import capture_files
 from e4dgs.stages.captures import recognise
 from PIL import Image
 
@@ -116,9 +116,9 @@ def test_frames_of_another_model_are_not_followed(tmp_path):
 
 def test_frames_are_in_the_digest(tmp_path):
     rig(tmp_path)
-    before = capture_digest(recognise(tmp_path))
+    before = capture_files(recognise(tmp_path))
     (tmp_path / "sparse/0/frames.bin").unlink()
-    assert capture_digest(recognise(tmp_path)) != before
+    assert capture_files(recognise(tmp_path)) != before
 
 
 @pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])

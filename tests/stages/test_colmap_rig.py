@@ -4,7 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
-from e4dgs.pipeline.keys import capture_digest
+from e4dgs.pipeline.keys import capture_files
 from e4dgs.stages.captures import recognise
 from factory import Options, make, write_colmap
 
@@ -75,11 +75,11 @@ def test_what_decides_whether_folders_are_a_rig_is_in_the_digest(rig):
     at = next(i for i, line in enumerate(kept) if line.endswith(" cam1/001.png"))
     (root / "sparse/0/images.txt").write_text("\n".join(kept[:at] + kept[at + 2 :]) + "\n")
     with_picture = recognise(root)
-    digest = capture_digest(with_picture)
+    digests = capture_files(with_picture)
     (root / "images/cam1/001.png").unlink()
     without = recognise(root)
     assert (with_picture.facts["cameras"], without.facts["cameras"], with_picture.names == without.names) == (3, 1, True)
-    assert capture_digest(without) != digest
+    assert capture_files(without) != digests
 
 
 def test_a_time_that_no_camera_registered_leaves_a_gap(rig):
