@@ -8,11 +8,13 @@ from importlib.util import find_spec
 import torch
 from e4dgs.rasterizer import Frame
 from e4dgs.rasterizer.reference.scene import Scene
-from e4dgs.workflows.bench.cuda.gpu import CALLS, both_on_gpu, ending, gpu_name, gpu_times, need_gpu, on_gpu, peak_mib
+from e4dgs.workflows.bench.cuda.gpu import CALLS, both_on_gpu, ending, gpu_name, need_gpu, on_gpu, peak_mib
 from e4dgs.workflows.bench.render import Rasterize, forward
 from e4dgs.workflows.bench.rows import Bench, Check, Measured
 from e4dgs.workflows.bench.scenes import garden
 from e4dgs.workflows.bench.timing import interleaved, ratio
+
+from .gpu_times import gpu_times
 
 FASTER = {"forward": 1.5, "both": 2.0}
 PEERS = {"gsplat packed": True, "gsplat": False}  # packed is its default; ours is compared with the faster one

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from e4dgs.workflows.bench.cuda.gpu import both_on_gpu, gpu_name, gpu_times, need_gpu, on_gpu
+from e4dgs.workflows.bench.cuda.gpu import both_on_gpu, gpu_name, need_gpu, on_gpu
 from e4dgs.workflows.bench.rows import Bench, Check, Measured
 from e4dgs.workflows.bench.scenes import CONVEX_COUNT, convexes, garden
 
 from ..native.counts import count_pairs
 from ..scenes import reconstructed_convexes
+from .gpu_times import gpu_times
 
 BAR = 2.5
 PARTS = ("blend_forward", "blend_backward")

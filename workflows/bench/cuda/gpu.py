@@ -54,24 +54,6 @@ def peak_mib(run: Callable[[], object]) -> float:
     return (torch.cuda.max_memory_allocated() - before) / 2**20
 
 
-def gpu_times(run: Callable[[], object], calls: int = CALLS) -> dict[str, float]:
-    """Seconds that the GPU spends in one call of `run`, by kernel (and copy), as torch's profiler sees it: without the host's time, and
-    without gaps."""
-    from torch.autograd import DeviceType
-    from torch.profiler import ProfilerActivity, profile
-
-    run()
-    torch.cuda.synchronize()
-    with profile(activities=[ProfilerActivity.CUDA], acc_events=True) as seen:
-        for _ in range(calls):
-            run()
-        torch.cuda.synchronize()
-    found = {
-        event.key: 1e-6 * event.self_device_time_total / calls for event in seen.key_averages() if event.device_type == DeviceType.CUDA
-    }
-    return {key: seconds for key, seconds in found.items() if seconds}
-
-
 def gpu_name() -> str:
     """Name of the GPU and version of torch, for protocols."""
     return f"{torch.cuda.get_device_name(0)}, torch {torch.__version__}"
