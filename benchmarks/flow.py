@@ -22,12 +22,13 @@ from typing import Any
 import cv2
 import numpy as np
 from bench_rows.curves import Curve, Plotted
-from e4dgs.vision.flow.flo import read_flo
 from e4dgs.vision.flow.method import Dis, FlowMethod, RaftFlow
-from e4dgs.vision.flow.two_way import flow_pair
+from e4dgs.vision.flow.two_way import both_ways, trusted
 from e4dgs.workflows.bench.machine import kernels, machine
 from e4dgs.workflows.bench.output import row_json, write
 from e4dgs.workflows.bench.rows import Check, Measured, Row
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # for the scene factory and the reader of .flo files
 
 NETWORKS = ("small", "sintel", "kitti")
 PUBLISHED = {"sintel": (0.177, 0.005), "small": (0.320, 0.01), "kitti": (0.453, 0.01)}  # px on RubberWhale, as anchors
@@ -60,6 +61,8 @@ def rubberwhale(scenes: Path, weights: Path | None) -> Measured:
     """End-point error on Middlebury's RubberWhale, 20 updates."""
     folder = scenes.parent / "flow" / "rubberwhale"
     first, second = (read(folder / f"RubberWhale{k}.png") for k in (1, 2))
+    from flo_files import read_flo
+
     truth = read_flo(folder / "RubberWhale.flo")
     known = (np.abs(truth) < 1e9).all(-1)
     size = f"{first.shape[1]}x{first.shape[0]}"
@@ -118,7 +121,6 @@ def room(scenes: Path, weights: Path | None) -> Measured:
 
 def factory(scenes: Path, weights: Path | None) -> Measured:
     """The same on rendered boxes and balls that move, turn, squash and hide one another before a moving camera."""
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
     from factory import Options, make, optical_flow, render, to_uint8
 
     synthetic = make(
@@ -156,7 +158,7 @@ def curves(cases: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], w
                 for first, second, truth, visible in cases:
                     a, b = method.prepare(first), method.prepare(second)
                     started = time.perf_counter()
-                    pair = flow_pair(method, a, b)
+                    pair = trusted(*both_ways(method, a, b))
                     seconds.append(time.perf_counter() - started)
                     said = _said(pair.forward, pair.backward)
                     outline = at_outlines(truth) & visible

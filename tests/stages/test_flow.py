@@ -18,7 +18,8 @@ from e4dgs.stages.shared.dataset import measured_flow
 from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.flow.method import Dis, FlowMethod
 from e4dgs.vision.flow.raft.architecture import SMALL
-from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow, flow_pair
+from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow, trusted
+from e4dgs.vision.flow.two_way import both_ways as measured
 from e4dgs.vision.moving.motion_mask import MotionMask, motion_mask
 from factory import Options, make, optical_flow, render, write_n3v, write_nerfstudio
 from raft_weights import random_state, torchvisions
@@ -39,7 +40,7 @@ def run(capture_path, folder: Path, holdout: int = 8, detect_static: bool = Fals
 
 def both_ways(first: np.ndarray, second: np.ndarray, method: FlowMethod | None = None) -> FlowPair:
     method = method or Dis()
-    return flow_pair(method, method.prepare(first), method.prepare(second))
+    return trusted(*measured(method, method.prepare(first), method.prepare(second)))
 
 
 def pattern(height: int = 96, width: int = 128, seed: int = 0) -> np.ndarray:

@@ -12,13 +12,14 @@ from e4dgs.stages.poses.settings import PosesSettings
 from e4dgs.stages.poses.stage import Poses
 from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.sfm import runner
-from e4dgs.vision.sfm.alignment import camera_centres, pose_error, similarity
+from e4dgs.vision.sfm.alignment import camera_centres, similarity
 from e4dgs.vision.sfm.between.pose_between import spread
 from e4dgs.vision.sfm.coverage import cover, runs, spans
 from e4dgs.vision.sfm.pairs import choose, image_pairs
 from e4dgs.vision.sfm.world import MEDIAN_DISTANCE, keep_points, normalise
 from factory import Options, make, write_images
 from PIL import Image
+from pose_error import pose_error
 from run_stage import run_poses
 
 FRAMES = 9

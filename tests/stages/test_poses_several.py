@@ -6,13 +6,14 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.stages.shared.frameset import FrameSet
-from e4dgs.vision.sfm.alignment import camera_centres, pose_error, similarity
+from e4dgs.vision.sfm.alignment import camera_centres, similarity
 from e4dgs.vision.sfm.explains import FARTHEST, NOISE, misfit
 from e4dgs.vision.sfm.fixed_cameras import is_fixed
 from e4dgs.vision.sfm.looks import MOST, choose_looks, expand, look_times
 from factory import Options, make, render
 from factory.render import to_uint8
 from factory.writers import flatten, write_mp4
+from pose_error import pose_error
 from run_stage import run_poses
 
 CAMERAS, TIMES = 5, 6

@@ -11,10 +11,10 @@ from e4dgs.stages.poses.moving_masks import FEWEST, lens_moving_masks
 from e4dgs.stages.poses.second_pass import LEAST, choose_pass, needless
 from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.sfm import runner
-from e4dgs.vision.sfm.alignment import pose_error
 from e4dgs.vision.sfm.masks import on_moving, static_matches
 from e4dgs.vision.sfm.pose_agreement import Matches, agreement
 from factory import Box, Cells, Motion, Object, Options, make, render, write_images
+from pose_error import pose_error
 from run_stage import run_frames, run_poses
 
 WIDTH, HEIGHT, TIMES = 240, 180, 8

@@ -5,7 +5,8 @@ import struct
 
 import numpy as np
 import pytest
-from e4dgs.vision.flow.flo import read_flo, write_flo
+from e4dgs.vision.flow.flo import write_flo
+from flo_files import read_flo
 
 
 def packed(width: int, height: int, *values: float, magic: float = 202021.25) -> bytes:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from e4dgs.vision.flow.method import Dis
 from e4dgs.vision.flow.outlines import BETTER, LARGEST, sharpened
-from e4dgs.vision.flow.two_way import _arrivals, flow_pair, occluded
+from e4dgs.vision.flow.two_way import _arrivals, both_ways, occluded, trusted
 from factory import Box, Camera, Cells, Motion, Object, Scene, Sphere, look_at, optical_flow, render, to_uint8
 from factory.camera import intrinsics
 
@@ -47,7 +47,7 @@ def test_measured_flow_tells_most_of_it() -> None:
     first, second = camera(), camera(0.15)
     method = Dis()
     pictures = [to_uint8(render(sliding(), view, time, samples=3).image[..., :3]) for view, time in ((first, 0.0), (second, 0.25))]
-    pair = flow_pair(method, *(method.prepare(picture) for picture in pictures))
+    pair = trusted(*both_ways(method, *(method.prepare(picture) for picture in pictures)))
     truth = ~optical_flow(sliding(), first, 0.0, 0.25, second).visible
     found = occluded(pair.forward, pair.backward)
     precision, recall = agreement(found, truth)

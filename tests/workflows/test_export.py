@@ -12,8 +12,8 @@ import pytest
 from e4dgs.pipeline import Artifact
 from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.flow.colours import flow_colours
-from e4dgs.vision.flow.flo import read_flo
 from e4dgs.workflows import cli
+from flo_files import read_flo
 from PIL import Image
 
 SETTINGS = ("--set", "flow.max_pairs=3", "--set", "flow.preset=ultrafast", "--set", "frames.max_frames=4")

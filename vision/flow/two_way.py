@@ -24,11 +24,6 @@ class FlowPair:
     confidence: np.ndarray
 
 
-def flow_pair(method: FlowMethod, first: Prepared, second: Prepared) -> FlowPair:
-    """Flow in both directions, `sharpened` at outlines, and the confidence in the forward flow: `consistency`, 0 where `occluded`."""
-    return trusted(*both_ways(method, first, second))
-
-
 def both_ways(method: FlowMethod, first: Prepared, second: Prepared) -> tuple[np.ndarray, np.ndarray]:
     """Flow forward and backward, [H, W, 2] float32 px each, `sharpened` at outlines."""
     forward = sharpened(method.flow(first, second), first.picture, second.picture)
@@ -36,7 +31,7 @@ def both_ways(method: FlowMethod, first: Prepared, second: Prepared) -> tuple[np
 
 
 def trusted(forward: np.ndarray, backward: np.ndarray, device: str = "cpu") -> FlowPair:
-    """Both flows, [H, W, 2] float32 px, with the confidence in the forward flow."""
+    """Both flows, [H, W, 2] float32 px, with the confidence in the forward flow: `consistency`, 0 where `occluded`."""
     confidence = consistency(forward, backward, device)
     confidence[occluded(forward, backward)] = 0
     return FlowPair(forward, backward, confidence)
@@ -77,7 +72,7 @@ def occluded(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     the local stretch of the forward flow predicts. This matters when the camera moves back: the second picture then shows all of the first
     in fewer pixels, and nothing is hidden. Pixels that leave the picture count as occluded too. The disagreement of the two flows would
     give many more false alarms, since errors of either flow cause it as well; so would the failure of a match. Smeared flow fills narrow
-    hidden bands, so `flow_pair` sharpens it first.
+    hidden bands, so `both_ways` sharpens it first.
     """
     import cv2
 
