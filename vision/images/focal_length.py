@@ -34,7 +34,7 @@ def exif_lens(file: Path) -> ExifLens | None:
     name = " ".join(model.replace("\0", " ").split())[:80] if isinstance(model, str) else ""
     for tag, equivalent in ((EQUIVALENT, True), (_REAL, False)):
         try:
-            focal = float(details.get(tag))
+            focal = float(details.get(tag, "nan"))
         except (TypeError, ValueError, ZeroDivisionError):
             continue
         if 1 <= focal <= 10_000:
