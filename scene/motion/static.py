@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Self
-
 from torch import Tensor
 
 from ...rasterizer import Camera
 from ..primitives import GaussianSet
-from ..settings import TrainingSettings
-from ..views import Views
 from .in_view import in_view
 from .interface import Motion
-from .start import Start
 from .times import Time
 
 
@@ -23,10 +18,6 @@ class Static(Motion):
     static = True
     steady = True
     moving_seeds = False
-
-    @classmethod
-    def start(cls, start: Start, views: Views, settings: TrainingSettings) -> tuple[Self, GaussianSet]:
-        return cls(), GaussianSet.from_points(start.points, start.colors, start.sh_degree, max_scale=start.max_scale)
 
     def in_view(self, gaussians: GaussianSet, camera: Camera, t: Time | None, tiles: Tensor | None, fuller: float) -> Tensor | None:
         return in_view(gaussians, camera, None, tiles, fuller)

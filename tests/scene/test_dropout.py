@@ -3,10 +3,13 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from e4dgs.scene.motion.kinds import motion_class
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.phases import Phase
+from e4dgs.scene.motion.start import Start
 from e4dgs.scene.training.objective import DROPOUT_GROWS
 from e4dgs.scene.training.optimiser import ALL_ROWS
 from e4dgs.scene.training.steps.dropout import MOST_OPAQUE, keeps, thinned
@@ -61,6 +64,13 @@ def test_one_camera_or_a_share_of_zero_leaves_out_none(tmp_path):
     assert (
         trainer_of(tmp_path / "a", cameras=1).objective.left_out(99) == trainer_of(tmp_path / "b", dropout=0.0).objective.left_out(99) == 0
     )
+
+
+def test_where_nothing_moves_all_can_be_left_out():
+    points = np.random.default_rng(0).normal(size=(40, 3))
+    start = Start(points, np.full((40, 3), 0.5), np.zeros(40, bool), None, 0, 1.0)
+    _, gaussians = motion_class("static").start(start, make_views(cameras=4, times=2, size=32), SETTINGS)
+    assert not gaussians.dynamic.any()
 
 
 def test_what_becomes_visible_because_others_are_left_out_is_in_view(tmp_path):
