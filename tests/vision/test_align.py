@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from e4dgs.vision.depth.align import FEWEST, INVERSE, KINDS, METRIC, SCALE, Sample, align
-from e4dgs.vision.depth.over_time import smooth_over_time
+from e4dgs.vision.depth.over_time import smooth_over_time, steadied
 
 FRAMES = 24
 MADE = {  # of each kind, the value of a pixel at depth z, with a scale and a shift
@@ -52,6 +52,16 @@ def test_the_kind_is_recognised_with_noise_and_movers(kind):
     aligned = align(made(kind, scale, shift, noise=0.02, moving=0.3, wrong=0.1), [range(FRAMES)])
     assert aligned.kind == kind
     assert np.median(np.abs(off(aligned, kind, scale, shift))) < 0.02
+
+
+@pytest.mark.parametrize(("shift", "kind"), [(0.02, "up to scale and shift"), (0.0, SCALE)])
+def test_noise_does_not_hide_a_shift_that_nearer_things_show(shift, kind):
+    """Known points are from 3 to 9 away: a factor alone explains them nearly as well, and is off by much at 2."""
+    scale = jumping(np.random.default_rng(3))[0]
+    shifts = np.full(FRAMES, shift)
+    aligned = align(made("up to scale and shift", scale, shifts, noise=0.06, smooth=0.05), [range(FRAMES)])
+    assert aligned.kind == kind
+    assert abs(np.median(off(aligned, "up to scale and shift", scale, shifts, z=(2.0,)))) < 0.03
 
 
 def test_one_factor_for_all_frames_is_metric():
@@ -139,3 +149,25 @@ def test_a_walk_keeps_a_step_and_gives_up_noise():
     course = smooth_over_time(range(40), {k: noisy[[k]] for k in range(40)}, {k: np.array([0.02**2]) for k in range(40)}, 0.02)
     found = np.array([course[k][0] for k in range(40)])
     assert np.abs(found - true).max() < 0.025 and np.abs(found - true).mean() < 0.6 * np.abs(noisy - true).mean()
+
+
+@pytest.mark.parametrize(("noise", "walk", "share"), [(0.12, 0.01, 0.75), (0.03, 0.03, 1.0), (0.12, 0.0, 0.65)])
+def test_what_is_steadied_is_nearer_to_the_truth_than_a_moving_median(noise, walk, share):
+    """As smooth as the values are themselves: a fixed window is too short for noise, and too long for what changes."""
+    off = {"steadied": [], "median": []}
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        true = np.cumsum(walk * rng.normal(size=90))
+        seen = true + noise * rng.normal(size=90) + np.where(rng.random(90) < 0.05, 0.5, 0.0)
+        median = np.array([np.median(seen[max(0, k - 4) : k + 5]) for k in range(90)])
+        off["steadied"].append(np.sqrt(np.mean((steadied(range(90), seen) - true) ** 2)))
+        off["median"].append(np.sqrt(np.mean((median - true) ** 2)))
+    assert np.mean(off["steadied"]) < share * np.mean(off["median"])
+
+
+def test_few_values_and_frames_with_gaps_are_steadied():
+    assert steadied([], []).shape == (0,) and steadied([3], [1.5]).tolist() == [1.5]
+    frames = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29]
+    line = np.array(frames) / 30
+    assert np.allclose(steadied(frames, line), line, atol=0.08)
+    assert np.allclose(steadied(frames, np.full(20, 2.0)), 2.0)

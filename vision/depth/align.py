@@ -15,7 +15,11 @@ import numpy as np
 from .over_time import smooth_over_time
 
 FEWEST = 12  # least number of points in a frame for a fit
-SIMPLER = 1.15  # a factor alone is taken if its error is at most this many times the least
+SIMPLER = 1.15  # a factor alone is taken if its error is at most this many times the least,
+SURE, MATTERS = (
+    3.0,
+    0.05,
+)  # unless a shift is this many times its standard deviation, and this share of near depths: noise hides it in errors
 SMALL = 1e-3  # difference of errors that does not matter
 TELLING, CLOSE = 0.7, 0.05  # depth is refused if its error is above both: times that of one depth for all points, and absolutely
 STEADY = 0.02  # spread of the factors' logarithms over time below which all frames share one
@@ -89,8 +93,9 @@ def align(samples: Mapping[int, Sample], sequences: Sequence[Sequence[int]], kin
     fits = {kind: {i: _fit(KINDS[kind], sample) for i, sample in used.items()} for kind in kinds}
     errors = {kind: float(np.median([_error(KINDS[kind], fit[i], used[i]) for i in used])) for kind, fit in fits.items()}
     kind = min(errors, key=lambda kind: errors[kind])
+    shifted = min((one for one in kinds if KINDS[one].shifted), key=lambda one: errors[one], default=None)
     if SCALE in errors and errors[SCALE] <= SIMPLER * errors[kind] + SMALL:
-        kind = SCALE
+        kind = shifted if shifted is not None and _has_shift(KINDS[shifted], fits[shifted], used) else SCALE
     flat = float(np.median([np.median(np.abs(np.log(one.z / np.median(one.z)))) for one in used.values()]))
     if errors[kind] > max(TELLING * flat, CLOSE):
         return None
@@ -139,6 +144,16 @@ def _error(kind: Kind, fit: np.ndarray, sample: Sample) -> float:
         return float("inf")
     found = (kind.of_value(sample.value) - shift) / scale
     return float(np.median(np.abs(np.log(np.maximum(found / kind.of_depth(sample.z), 1e-9)))))
+
+
+def _has_shift(kind: Kind, fits: Mapping[int, np.ndarray], samples: Mapping[int, Sample]) -> bool:
+    """Whether the shift of most frames is more than chance, and matters for what is nearer than most points."""
+    sure, share = [], []
+    for i, (scale, shift) in fits.items():
+        variance = float(_covariance(kind, fits[i], samples[i])[1, 1])
+        sure.append(abs(shift) / np.sqrt(max(variance, 1e-24)))
+        share.append(abs(shift / scale) / float(np.quantile(kind.of_depth(samples[i].z), 0.85 if kind.inverse else 0.15)))
+    return bool(np.median(sure) > SURE and np.median(share) > MATTERS)
 
 
 def _spread(factors: np.ndarray) -> float:

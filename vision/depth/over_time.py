@@ -11,6 +11,8 @@ SIDE, SURE = 3, 3.0  # frames on each side of a larger step, and how many standa
 LEAST = 1e-4  # of the usual size: change from frame to frame that is always allowed
 DOUBT = 6.0  # variances are estimated from a few blocks of the picture and are too small; values that jump differ by far more
 FAR = 8  # frames
+LEAST_WALK, ROUNDS = 0.003, 3  # of what is steadied: least variance of a step, as a share of that of its noise, so that it may drift
+SMALL = 0.01  # least deviation that may be an outlier's; what is steadied are logarithms
 NORMAL = 1.4826  # ratio of the standard deviation of normal numbers to their median absolute value
 
 
@@ -38,6 +40,25 @@ def smooth_over_time(
     place = [frames.index(i) for i in known]
     between = np.stack([np.interp(np.arange(len(frames)), place, course) for course in courses.T], 1)
     return dict(zip(frames, between, strict=True))
+
+
+def steadied(frames: Sequence[int], values: Sequence[float]) -> np.ndarray:
+    """[n], ``values`` [n], logarithms, of ``frames`` in order of time as a random walk that is seen with noise: as smooth as they say that
+    it is. What noise adds to a change is taken back by the next one, so changes that follow one another tell how much of them is noise
+    (Harvey 1989, local level model). Outliers have little weight (Cauchy's)."""
+    value, gap = np.asarray(values, np.float64), np.diff(frames)
+    course = np.array([np.median(value[max(0, k - SIDE) : k + SIDE + 1]) for k in range(len(value))])
+    together = (gap[1:] == 1) & (gap[:-1] == 1)
+    if together.sum() < FAR:
+        return course
+    for _ in range(ROUNDS):
+        off = value - course
+        usual = max(NORMAL * float(np.median(np.abs(off))), SMALL)
+        change = np.diff(course + np.clip(off, -SURE * usual, SURE * usual))
+        noise = max(-float(np.mean((change[1:] * change[:-1])[together])), 1e-12)
+        walk = max(float(np.mean((change**2 - 2 * noise) / gap)), noise * LEAST_WALK)
+        course = _course(value, noise * (1 + (off / (2 * usual)) ** 2), gap, walk)
+    return course
 
 
 def _step(value: np.ndarray, variance: np.ndarray, gap: np.ndarray, least: float) -> float:
