@@ -113,7 +113,8 @@ def camera_seeds(
     cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
     for frames in cameras:
         chain = Chain(flow, frames)
-        objects = follow_objects(chain, len(frames))
+        depth = None if given is None else {k: given.z[i] for k, i in enumerate(frames) if i in given.z}
+        objects = follow_objects(chain, len(frames), depth)
         depths = object_depths(objects, views, frames, static, given)
         advance(len(frames))
         known = [float(np.median(values[values > 0])) for values in depths if (values > 0).any()]

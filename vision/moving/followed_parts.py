@@ -5,12 +5,14 @@ A rigid object's depth is inversely proportional to its apparent size, so its de
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from ..flow.chain import Chain
+from .depth_layers import depth_layers
 
 PIXELS = 400  # most pixels of a part that are tracked to the next frame
 FEWEST = 12  # least number of these that must be found again
@@ -36,10 +38,11 @@ class Objects(NamedTuple):
         return np.clip(row.astype(int), 0, height - 1), np.clip(column.astype(int), 0, width - 1)
 
 
-def follow_objects(chain: Chain, frames: int, seed: int = 0) -> Objects:
-    """The connected parts of the masks of ``chain`` in its first ``frames`` frames, linked over time by flow."""
+def follow_objects(chain: Chain, frames: int, depth: Mapping[int, np.ndarray] | None = None, seed: int = 0) -> Objects:
+    """The connected parts of the masks of ``chain`` in its first ``frames`` frames, linked over time by flow. depth: [H, W] of some frames,
+    0 where it is unknown, which tells things apart that touch in the picture."""
     rng = np.random.default_rng(seed)
-    labels = [_parts(chain.small_mask(k)) for k in range(frames)]
+    labels = [_parts(chain.small_mask(k), (depth or {}).get(k)) for k in range(frames)]
     height, width = labels[0].shape
     objects = Objects(labels, (chain.width / width, chain.height / height), [], [])
     number = [np.full(int(of.max()) + 1, -1) for of in labels]
@@ -58,10 +61,15 @@ def follow_objects(chain: Chain, frames: int, seed: int = 0) -> Objects:
     return objects._replace(number=number, log_size=log_size)
 
 
-def _parts(mask: np.ndarray) -> np.ndarray:
+def _parts(mask: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray:
     """[h, w] uint8: labels 1, 2, ... of the connected parts of ``mask`` [h, w] bool, without noise and at most 255 parts; 0 elsewhere."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    area = stats[1:, cv2.CC_STAT_AREA]
+    if depth is None:
+        count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    else:
+        z = cv2.resize(depth, (mask.shape[1], mask.shape[0]), interpolation=cv2.INTER_NEAREST)
+        labels = depth_layers(mask, inner(mask.astype(np.uint8)) > 0, z, round(LEAST_AREA * mask.size))
+        count = int(labels.max()) + 1
+    area = np.bincount(labels.reshape(-1), minlength=count)[1:]
     large = 1 + np.argsort(-area, kind="stable")[: min(255, int((area >= LEAST_AREA * mask.size).sum()))]
     renumbered = np.zeros(count, np.uint8)
     renumbered[large] = np.arange(1, len(large) + 1)
