@@ -84,9 +84,9 @@ def corrected_at_rest(given: StoredDepth, views: Views, points: np.ndarray, movi
     alike = how_alike(errors)
     if alike is None:
         return given
-    z = {i: given.z[i] * correction(alike, one, given.z[i].shape) for i, one in errors.items()}
+    corrected = {i: given.z[i] * correction(alike, one, given.z[i].shape) for i, one in errors.items()}
     error = float(np.median([left(alike, one) for one in errors.values() if len(one.log)]))
-    return replace(given, error=error, z=z) if error < given.error else given
+    return replace(given, error=error, z=corrected) if error < given.error else given
 
 
 def static_inverse(given: StoredDepth, measured: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
