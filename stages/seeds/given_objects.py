@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
 
-from ...scene.views import Views
-from ...vision.depth.local_errors import correction, errors_of, how_alike, left
 from ...vision.depth.over_time import steadied
 from ...vision.moving.followed_parts import Objects, inner
 from ..depth.artifact import StoredDepth
@@ -19,7 +16,6 @@ SURE = 0.5  # least confidence of these
 AROUND = 4  # frames on either side over which an object's depth is averaged, with its size, if single pixels are not to be believed
 WITHIN = 0.4  # logarithm of the factor between a pixel's depth and that of its object; farther ones show something else
 NEARER = 40.0  # percentile of a part's depths that stands for it, if single pixels are not to be believed: they blend into what is behind
-BLURRED = 0.02  # of the picture's width, around what moves, where a network's maps are blurred
 WIDTH = 320  # px, longest side of maps of the static scene
 
 
@@ -64,29 +60,6 @@ def given_surface(given: StoredDepth, i: int, number: np.ndarray) -> np.ndarray:
     z = _sized(given.z[i], number.shape)
     near = (z > 0) & (np.abs(np.log(np.maximum(z, 1e-9) / np.maximum(number, 1e-9))) < WITHIN)
     return np.where(near, z, number)
-
-
-def corrected_at_rest(given: StoredDepth, views: Views, points: np.ndarray, moving: Callable[[int], np.ndarray | None]) -> StoredDepth:
-    """``given`` with maps corrected by ``points`` [P, 3] at rest around each pixel, and the error that is left; itself if that gains
-    nothing. What is behind something that moves says nothing. moving: [H, W] bool, pixels of a frame that move, None if unknown."""
-    errors = {}
-    for i, z in given.z.items():
-        _, x, y, true = views.project(i, points)
-        mask = moving(i)
-        if mask is not None:
-            reach = max(1, round(BLURRED * views.width))
-            near = cv2.dilate(mask.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
-            x, y, true = x[~near[y, x]], y[~near[y, x]], true[~near[y, x]]
-        height, width = z.shape
-        found = z[(y * height) // views.height, (x * width) // views.width]
-        place = (np.stack([x, y], 1) + 0.5) / views.width
-        errors[i] = errors_of(place[found > 0], np.log(true[found > 0] / found[found > 0]))
-    alike = how_alike(errors)
-    if alike is None:
-        return given
-    corrected = {i: given.z[i] * correction(alike, one, given.z[i].shape) for i, one in errors.items()}
-    error = float(np.median([left(alike, one) for one in errors.values() if len(one.log)]))
-    return replace(given, error=error, z=corrected) if error < given.error else given
 
 
 def static_inverse(given: StoredDepth, measured: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:

@@ -22,7 +22,7 @@ from ..flow.artifact import flow_of
 from ..shared.frameset import FrameSet
 from ..shared.masks import moving_mask
 from .fill import fill_seeds, middle_frames, sweep
-from .given_objects import corrected_at_rest, static_inverse
+from .given_objects import static_inverse
 from .key_times import KEYS, rig_times
 from .moving import FEWEST_CAMERAS, camera_seeds, rig_seeds
 from .one_place import standing_seeds
@@ -90,7 +90,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
         points, colors = np.concatenate([points, more]), np.concatenate([colors, np.full((count, 3), 0.5)])
     inverse = swept.inverse if swept else {}
     if given is not None:
-        inverse = static_inverse(given if given.precise else at_rest(ctx, frames, views, measured, given), inverse)
+        inverse = static_inverse(given, inverse)
     return Seeds(points, colors, measured if len(measured) else points, inverse, given)
 
 
@@ -110,14 +110,6 @@ def given_depth(ctx: Context) -> StoredDepth | None:
         use = "for what moves and where nothing else gives the depth of what is at rest" if given.precise else "for what moves"
         ctx.log(f"seeds: depth of {len(given.z)} frames, {given.error:.1%} off the known points, is used {use}")
     return given
-
-
-def at_rest(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, given: StoredDepth) -> StoredDepth:
-    """``given``, corrected where nothing moves."""
-    corrected = corrected_at_rest(given, views, points, lambda i: moving_mask(ctx, frames, i))
-    if corrected.precise:
-        ctx.log(f"seeds: corrected by the points around, it is {corrected.error:.1%} off; so it tells the depth of what is at rest, too")
-    return corrected
 
 
 def moving_seeds(

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
@@ -13,7 +12,7 @@ from e4dgs.stages.captures.listing.depth_maps import add_depth
 from e4dgs.stages.captures.reading import Shot
 from e4dgs.stages.depth.artifact import PRECISE, StoredDepth
 from e4dgs.stages.seeds.artifact import StoredSeeds, read_held
-from e4dgs.stages.seeds.given_objects import corrected_at_rest, given_numbers, given_surface, static_inverse
+from e4dgs.stages.seeds.given_objects import given_numbers, given_surface, static_inverse
 from e4dgs.stages.seeds.moving import camera_seeds
 from e4dgs.stages.shared.dataset import load_frameset
 from e4dgs.vision.depth.align import SCALE
@@ -93,29 +92,6 @@ def test_what_is_at_rest_is_filled_up_where_pixels_are_to_be_believed():
     finer = static_inverse(wide, swept)
     assert {one.shape for one in finer.values()} == {(4, 4)}, "maps of one size, whatever that of the depth"
     assert static_inverse(StoredDepth(SCALE, 0.05, z, sure), swept) == swept
-
-
-def test_depth_that_is_wrong_by_regions_is_corrected_at_rest_and_not_where_something_moves(tmp_path):
-    flow, rng = flow_of(tmp_path / "flow"), np.random.default_rng(0)
-    z, off = {}, {}
-    for k in range(FRAMES):
-        noise = cv2.GaussianBlur(rng.normal(size=(HEIGHT, WIDTH)), (0, 0), 12)
-        off[k] = 0.05 * noise / noise.std()
-        z[k] = (square_depth(k, flow) * np.exp(off[k])).astype(np.float32)
-    given = StoredDepth(SCALE, 0.04, z, {k: np.ones_like(one) for k, one in z.items()})
-    fixed = corrected_at_rest(given, views(), wall(), lambda i: flow.moving(i) > 127)
-    assert fixed.precise and not given.precise
-    blind = corrected_at_rest(given, views(), wall(), lambda i: None)
-    own, behind = [], []
-    for k in range(FRAMES):
-        left, pulled = (np.abs(np.log(one.z[k] / square_depth(k, flow))) for one in (fixed, blind))
-        moving = flow.moving(k) > 127
-        assert left[~moving].mean() < 0.3 * np.abs(off[k])[~moving].mean()
-        own.append(left[moving].mean())
-        behind.append(pulled[moving].mean())
-    assert np.mean(own) < 0.7 * np.mean(behind), "the wall behind would push it away"
-    exact = replace(given, z={k: square_depth(k, flow) for k in range(FRAMES)})
-    assert corrected_at_rest(exact, views(), wall(), lambda i: flow.moving(i) > 127) is exact
 
 
 @pytest.fixture
