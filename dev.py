@@ -77,8 +77,9 @@ def test(arguments):
     # One process more than cores, since some tests wait for servers and clusters; files in the order of collection, the longest first.
     processes = str(min(8, 1 + (os.cpu_count() or 1)))
     spread = [] if parts else ["--numprocesses", processes, "--dist", "loadfile", "--no-loadscope-reorder"]
-    # Several processes with as many threads as cores each: threads that wait for one another have to let the others have the cores.
-    return run([python(), "-m", "pytest", *spread, *arguments], dict(os.environ, GOMP_SPINCOUNT="1000"))
+    # Several processes fill the cores, so each has one thread, unless a test asks for more; those that wait let others have the cores.
+    threads = {"OMP_NUM_THREADS": "1"} if spread else {}
+    return run([python(), "-m", "pytest", *spread, *arguments], dict(os.environ, GOMP_SPINCOUNT="1000", **threads))
 
 
 def lint(_):

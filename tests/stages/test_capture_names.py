@@ -167,10 +167,6 @@ WORDS = {
         [f"DJI_2024010112{t:04d}_{t:04d}_{kind}.png" for t in range(1, 7) for kind in "TV"],
         "DJI_20240101120001_0001_T.png and DJI_20240101120001_0001_V.png",
     ),
-    "edits of a phone": (
-        [*(f"IMG_{t:04d}.png" for t in range(6)), *(f"IMG_E{t:04d}.png" for t in range(0, 6, 2))],
-        "IMG_0000.png and IMG_E0000.png",
-    ),
 }
 
 
