@@ -18,7 +18,7 @@ from e4dgs.stages.shared.dataset import load_frameset
 from e4dgs.vision.depth.align import SCALE
 from e4dgs.vision.moving.followed_parts import Objects
 from factory import Options, make, render, write_nerfstudio
-from moving_square import FRAMES, HEIGHT, NEAR, WALL, WIDTH, flow_of, views, wall
+from moving_square import FRAMES, HEIGHT, NEAR, WALL, WIDTH, flow_of, left_edge, views, wall
 from PIL import Image
 from run_stage import run_frames
 
@@ -37,6 +37,19 @@ def test_seeds_lie_at_the_given_depth(error, tmp_path):
     assert np.median(seeds.velocities[:, 0]) == pytest.approx(-0.2, rel=0.1), "and so they are as fast as the square"
     inverse, _ = seeds.held[4]
     assert np.allclose(inverse[inverse > 0], 1 / NEAR, rtol=0.01)
+
+
+def test_things_that_touch_in_the_picture_keep_the_depths_that_are_given(tmp_path):
+    """The right half of the square is another thing, farther away; of depth that is not precise, each thing has one number."""
+    flow = flow_of(tmp_path / "flow")
+    z = {k: square_depth(k, flow) for k in range(FRAMES)}
+    for k, one in z.items():
+        one[30:70, round(left_edge(k)) + 20 :][flow.moving(k)[30:70, round(left_edge(k)) + 20 :] > 127] = 1.5 * NEAR
+    given = StoredDepth(SCALE, PRECISE * 2, z, {k: np.ones_like(one) for k, one in z.items()})
+    seeds = camera_seeds(flow, views(), wall(), 125, 3000, given=given)
+    assert seeds is not None
+    near, far = (np.isclose(seeds.points[:, 2], depth, rtol=0.02).mean() for depth in (NEAR, 1.5 * NEAR))
+    assert near > 0.4 and far > 0.4 and near + far == 1
 
 
 def test_noise_of_single_frames_is_averaged_over_neighbours_with_the_size():
