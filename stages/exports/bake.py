@@ -133,7 +133,7 @@ def loss_of(baked: Baked, frames: FrameSet, *moments: float) -> Loss:
     chosen = distinct_views(frames, np.concatenate([frames.test, frames.val]), LOOKS)
     if len(chosen) < LOOKS:
         chosen = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), LOOKS)
-    looked = [moments[k] for k in np.unique(np.linspace(0, len(moments) - 1, MOMENTS).round().astype(int))]
+    looked = evenly(moments, MOMENTS)
     errors = [float(np.mean([_squared_error(baked, frames, int(i), t) for i in chosen])) for t in looked]
     mean, worst = (float(-10 * np.log10(max(error, 1e-10))) for error in (np.mean(errors), max(errors)))
     when = looked[int(np.argmax(errors))]

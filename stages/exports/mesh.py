@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ...pipeline import StageError
+from ...pipeline.choice.evenly import evenly
 from ...vision.clouds import load_open3d
 from .bake import MOMENTS
 from .capture_cameras import camera_of, distinct_views
@@ -77,7 +78,7 @@ def size_of(model: Model, frames: FrameSet, *moments: float) -> Size:
     spread, or over the first of the others with anything solid if these have nothing. Raises StageError if nothing is solid at any."""
     depths: list[np.ndarray] = []
     points, focal = [], []
-    spread = np.unique(np.linspace(0, len(moments) - 1, MOMENTS).round().astype(int)).tolist()
+    spread = evenly(range(len(moments)), MOMENTS)
     for k, number in enumerate([*spread, *(n for n in range(len(moments)) if n not in spread)]):
         if k >= len(spread) and any(len(one) for one in depths):
             break

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
+from ....pipeline.choice.evenly import evenly
 from ....vision.images.files import BadImageError, open_image
 from .. import checks
 from ..listing.unread import MASK_PLACES
@@ -24,7 +24,7 @@ def judge_alpha(root: Path, reading: Reading, kind: str, background: str | None)
         return
     files = list(dict.fromkeys(str(shot.file) for shot in reading.shots))
     files = [file for file in files if checks.image_header(root, file)[2]]
-    judged = _spread(files)
+    judged = evenly(files, _JUDGED)
     if not files:
         return
     if not any(_shows_through(root / file) for file in judged):
@@ -38,13 +38,6 @@ def judge_alpha(root: Path, reading: Reading, kind: str, background: str | None)
             f"{background or 'white'} (frames.background). If they only hide what is there, save the pictures without alpha, and masks "
             f"that are black there; masks are read from {MASK_PLACES}",
         )
-
-
-def _spread(files: Sequence[str]) -> list[str]:
-    """At most `_JUDGED` of ``files``, evenly spaced, the first and the last among them."""
-    if len(files) <= _JUDGED:
-        return list(files)
-    return [files[round(i * (len(files) - 1) / (_JUDGED - 1))] for i in range(_JUDGED)]
 
 
 def _shows_through(path: Path) -> bool:
