@@ -100,6 +100,7 @@ def _options(request: dict[str, Any]) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     error, angle = float(request["max_error"]), float(request["min_angle"])
     options.random_seed = options.triangulation.random_seed = int(request["seed"])
+    options.num_threads = options.mapper.num_threads = 1  # several add up the adjustment's terms in another order each time
     options.extract_colors = False
     options.mapper.filter_max_reproj_error = error
     options.mapper.filter_min_tri_angle = angle
