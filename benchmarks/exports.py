@@ -26,7 +26,7 @@ from e4dgs.pipeline import Records, StageError, Store
 from e4dgs.rasterizer import Camera, Gaussians
 from e4dgs.scene.formats.axes import Turn
 from e4dgs.scene.formats.ply import seen
-from e4dgs.scene.formats.usd import write_usd
+from e4dgs.scene.formats.usd.splats import write_usd
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.scene.model import Model
 from e4dgs.stages.exports.bake import bake, loss_of

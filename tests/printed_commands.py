@@ -87,6 +87,7 @@ RUN = {
     "e4dgs export web CAPTURE --out scene.html": TINY,
     "e4dgs export web CAPTURE --out site/": TINY,
     "e4dgs export usd CAPTURE --out scene.usdc": f"{TINY} --times 2",
+    "e4dgs export cameras CAPTURE --out cameras.json": TINY,
     "e4dgs export mesh CAPTURE --time 0.5 --out scene.glb": TINY,
     "e4dgs export mesh CAPTURE --convexes --out hulls.glb": TINY,
     "e4dgs export flow CAPTURE --out DIR": TINY,

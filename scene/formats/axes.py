@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ...rasterizer import Gaussians
 
 AXES = ("X", "-X", "Y", "-Y", "Z", "-Z")
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV's camera from one of OpenGL, USD and Blender: x right, y up, z back; and the other way
 LEVEL = 1e-6  # of a unit vector: what is this near to an axis is that axis
 
 

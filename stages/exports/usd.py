@@ -12,6 +12,7 @@ import numpy as np
 from ...pipeline import SettingsError
 from ...scene.formats.axes import Turn
 from .bake import Loss, bake, loss_of, nothing_visible
+from .cameras import posed_cameras
 
 if TYPE_CHECKING:
     from ...rasterizer import Gaussians
@@ -55,7 +56,7 @@ def export_usd(
     except (ImportError, AttributeError) as error:
         raise SettingsError("export usd needs the package usd-core, 26.3 or later; install it with: pip install 'e4dgs[usd]'") from error
     from ...scene.camera_paths import upward
-    from ...scene.formats.usd import stage_turn, write_usd
+    from ...scene.formats.usd.splats import stage_turn, write_usd
 
     assert frames.cam_from_world is not None
     try:
@@ -70,7 +71,7 @@ def export_usd(
 
     seconds = float(np.ptp(frames.seconds))
     rate = (times - 1) / seconds if times > 1 and seconds > 0 else USUAL_RATE
-    number = write_usd(path, at, moments, float(times - 1), rate, turn)
+    number = write_usd(path, at, moments, float(times - 1), rate, turn, posed_cameras(frames, model.near))
     if not number:
         raise nothing_visible("usd", moments)
     return ExportedUsd(number, rate, turn, loss_of(baked, frames, *moments))

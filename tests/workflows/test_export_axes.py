@@ -14,7 +14,7 @@ import torch
 from e4dgs.rasterizer import Camera, Gaussians, rasterize
 from e4dgs.scene.camera_paths import look_at
 from e4dgs.scene.formats.axes import Turn, unit_vector
-from e4dgs.scene.formats.usd import stage_turn, write_usd
+from e4dgs.scene.formats.usd.splats import stage_turn, write_usd
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static

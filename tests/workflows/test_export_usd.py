@@ -10,7 +10,7 @@ from e4dgs.rasterizer import Camera, Convexes, Gaussians, rasterize
 from e4dgs.scene.convex_gaussians import GaussianFit
 from e4dgs.scene.formats.axes import Turn, nearest_axis
 from e4dgs.scene.formats.ply import LEAST_ALPHA
-from e4dgs.scene.formats.usd import stage_turn, write_usd
+from e4dgs.scene.formats.usd.splats import stage_turn, write_usd
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.workflows.cli import main
 from scipy.spatial.transform import Rotation
@@ -242,3 +242,19 @@ def test_without_the_package_it_is_said_how_to_get_it(finished, tmp_path, capsys
     monkeypatch.setitem(sys.modules, "pxr", None)
     assert export(finished, "--out", tmp_path / "scene.usdc") == 2
     assert "e4dgs[usd]" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_cameras_come_with_the_scene_and_alone(finished, tmp_path, capsys):
+    capture, workspace = finished
+    out = tmp_path / "scene.usdc"
+    assert export(finished, "--times", 2, "--out", out) == 0
+    stage = Usd.Stage.Open(str(out))
+    cameras = [UsdGeom.Camera(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]
+    assert cameras, "film tools look through the lens that filmed the scene"
+    poses = tmp_path / "cameras.json"
+    command = ["export", "cameras", str(capture.root), "--workspace", str(workspace), *QUICK]
+    assert main([*command, "--out", str(poses)]) == 0
+    assert f"cameras: {poses}" in " ".join(capsys.readouterr().out.split())
+    assert main(["render", *command[2:], "--path", str(poses), "--out", str(tmp_path / "same")]) == 0
+    assert len(list((tmp_path / "same").glob("*.png"))) >= len(cameras)
+    assert main([*command, "--time", "0.5"]) == 2

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...pipeline import CaptureError
+from ...scene.formats.axes import OPENGL
 from ...stages.captures import checks
 from ...stages.captures.assembly.far_away import seen_from
 from ...stages.exports.camera_path import NAMES, CameraPath
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from ...stages.shared.frameset import FrameSet
 
 MOST_FRAMES = 100_000
-OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z back
 POSES = ("cam_from_world", "transform_matrix", "camera_to_world")
 TIMES = ("time", "render_time")
 # Fields that say nothing about how a view looks: of captures, and of nerfstudio's editor, which has put them into its `camera_path`.
@@ -66,7 +66,9 @@ def path_of_file(file: Path, frames: FrameSet) -> FilePath:
         lenses.append(lens_of(data, row, size, where))
     assert frames.K is not None
     usual = _of_capture(frames, size)
-    found = np.stack(poses) if frames.origin is None else seen_from(frames.origin, np.stack(poses))
+    found = np.stack(poses) @ _of_export(data, name)
+    if frames.origin is not None:
+        found = seen_from(frames.origin, found)
     fps, notes = _rate(data, len(rows), name)
     notes += _notes(data, rows, size, stated, name)
     return FilePath(found, np.stack([usual if K is None else K for K in lenses]), _times(rows, name), size, fps, tuple(notes))
@@ -104,6 +106,12 @@ def _pose(row: Mapping[str, Any], where: str) -> np.ndarray:
         value = [value[k : k + 4] for k in range(0, 16, 4)]
     pose = checks.rigid(checks.matrix(value, where, ((4, 4), (3, 4))), where)
     return pose if given[0] == "cam_from_world" else checks.inverse(pose @ OPENGL)
+
+
+def _of_export(data: Mapping[str, Any], name: str) -> np.ndarray:
+    """[4, 4], world of the poses from world of the capture's files: what `e4dgs export cameras` says, else nothing changes."""
+    value, where = data.get("file_from_capture"), f"{name}: file_from_capture"
+    return np.eye(4) if value is None else checks.rigid(checks.matrix(value, where, ((4, 4),)), where)
 
 
 def _times(rows: Sequence[Mapping[str, Any]], name: str) -> np.ndarray:
@@ -157,7 +165,7 @@ def _notes(data: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], size: tup
     bent = sorted({key for fields in levels for key in BENT if fields.get(key) not in (None, 0)})
     if bent:
         notes.append(f"the distortion of the lens ({', '.join(bent)}) is not rendered: straight lines stay straight")
-    known = {*POSES, *TIMES, *FIELDS, *QUIET, "frames", "camera_path", "fps", "seconds"}
+    known = {*POSES, *TIMES, *FIELDS, *QUIET, "frames", "camera_path", "fps", "seconds", "camera", "file_from_capture"}
     strange = sorted({key for fields in levels for key, value in fields.items() if key not in known and value is not None})
     if strange:
         more = f" and {len(strange) - 8} more" if len(strange) > 8 else ""

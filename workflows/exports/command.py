@@ -15,6 +15,7 @@ from ..machine.writable import writing_to
 from ..options import of_last_run
 from ..results import results
 from ..session import Options, open_session
+from .cameras import cameras
 from .meaning import without
 from .mesh import mesh
 from .straight import container, write_straight
@@ -155,6 +156,7 @@ app.command()(web)
 app.command("4dgs")(container)
 app.command()(usd)
 app.command()(mesh)
+app.command()(cameras)
 
 
 def _splats(

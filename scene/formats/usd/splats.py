@@ -13,10 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...pipeline.files import sync_file
-from ...rasterizer import Gaussians
-from .axes import Turn, nearest_axis
-from .ply import drawable_rows, seen_rows
+from ....pipeline.files import sync_file
+from ....rasterizer import Gaussians
+from ..axes import Turn, nearest_axis
+from ..ply import drawable_rows, seen_rows
+from .cameras import PosedCamera, define_cameras
 
 REACH = 3.0  # standard deviations around each Gaussian that the bounding box includes
 NOTE = (
@@ -39,13 +40,21 @@ def stage_turn(up: np.ndarray, wanted: str | None = None, exact: bool = False) -
     return Turn.levelling(up, after) if exact else Turn(axis, after)
 
 
-def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[float], last_code: float, rate: float, turn: Turn) -> int:
+def write_usd(
+    path: Path,
+    at: Callable[[float], Gaussians],
+    times: Sequence[float],
+    last_code: float,
+    rate: float,
+    turn: Turn,
+    cameras: Sequence[PosedCamera] = (),
+) -> int:
     """Write ``path`` (.usda as text; .usdc or .usd as binary crate), completely or not at all, and return the number of Gaussians. If that
     is 0, nothing is written.
 
     at: returns the Gaussians (with sh) at a time in [0, 1], always the same number in the same order. times: increasing; time t becomes
     time code t * last_code. rate: time codes a second. turn: that of /World, see `stage_turn`; its last axis is the stage's up axis (Y if
-    that is neither Y nor Z).
+    that is neither Y nor Z). cameras: become /World/Cameras.
 
     /World/Splats has positions, orientations (unit), scales (standard deviations), opacities in [0, 1] and SH (0.5 is added, as in 3DGS).
     All are time samples of the same Gaussians, those visible at any of the times, so programs can interpolate between samples. Raises
@@ -112,6 +121,7 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
     splats.GetRadianceSphericalHarmonicsDegreeAttr().Set(sh_degree)
     splats.GetProjectionModeHintAttr().Set("perspective")
     splats.GetSortingModeHintAttr().Set("zDepth")
+    define_cameras(stage, "/World/Cameras", cameras, last_code)
     _export(layer, path)
     return int(keep.sum())
 
