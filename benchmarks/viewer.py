@@ -35,7 +35,7 @@ from e4dgs.stages.exports.camera_path import CameraPath, named_path
 from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.workflows.bench.machine import machine
 from e4dgs.workflows.results import words_of
-from e4dgs.workflows.session import Options, open_session
+from e4dgs.workflows.session import Choice, Options, open_session
 from e4dgs.workflows.view.looks import picture
 from e4dgs.workflows.view.server import FIRST_SCALE, QUALITY, next_scale
 from e4dgs.workflows.view.source import Source
@@ -58,8 +58,8 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=120, help="of the video")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
-    given = arguments.preset, arguments.assignments, arguments.device, arguments.name
-    options = Options(arguments.capture, arguments.workspace, *given)
+    choice = Choice(arguments.preset, tuple(arguments.assignments), arguments.device)
+    options = Options(arguments.capture, arguments.workspace, choice, arguments.name)
     session = open_session(options)
     source = Source(session)
     found, artifacts = source.newest(), source.frames()

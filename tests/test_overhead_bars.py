@@ -17,7 +17,7 @@ from e4dgs.pipeline import make_plan
 from e4dgs.stages.coarse.stage import Coarse
 from e4dgs.stages.evaluate.stage import Evaluate
 from e4dgs.workflows.runs import execute
-from e4dgs.workflows.session import Options, open_session
+from e4dgs.workflows.session import Choice, Options, open_session
 from rich.console import Console
 from script_module import load_script
 
@@ -91,7 +91,7 @@ def cached(dnerf_capture, tmp_path, monkeypatch) -> list[str]:
     monkeypatch.setattr(Coarse, "run", train)
     monkeypatch.setattr(Evaluate, "run", measure)
     monkeypatch.setattr("e4dgs.workflows.publish._render", lambda *arguments: "<html>")
-    session = open_session(Options(dnerf_capture.root, tmp_path / "w", assignments=WORDS, device="cpu"))
+    session = open_session(Options(dnerf_capture.root, tmp_path / "w", Choice(set=WORDS, device="cpu")))
     execute(session, make_plan(session.job), Console(quiet=True), lambda line: None)
     settings = [word for assignment in WORDS for word in ("--set", assignment)]
     return ["run", "all", str(dnerf_capture.root), "--workspace", str(tmp_path / "w"), "--device", "cpu", *settings]

@@ -20,7 +20,7 @@ from ..pipeline.names import composed
 from .machine.devices import resolve_device
 from .reconstruction import reconstruction
 from .scenes import CLAIM
-from .session import DEFAULT_WORKSPACE, Options, Session
+from .session import DEFAULT_WORKSPACE, NO_CHOICE, Choice, Options, Session
 
 FILE = "runs.json"
 KEPT = 50  # runs of a scene that the file lists at most
@@ -32,25 +32,15 @@ class Run:
     to its end."""
 
     target: str = "all"
-    preset: str = "default"
-    set: tuple[str, ...] = ()
-    static: bool = False
-    format: str | None = None
-    device: str = "auto"
+    choice: Choice = NO_CHOICE
     began: float = 0.0
     done: bool = False
-    time: str | None = None
-    resolved: tuple[str, ...] = ()  # settings that were decided for that time
-    facts: str = ""  # digest of the capture's facts that they were decided for
+    facts: str = ""  # digest of the capture's facts that settings were decided for
 
     @property
     def words(self) -> str:
-        """The options as on a command line, without those that have their default; "no options" for none."""
-        words = [*(["--preset", self.preset] if self.preset != "default" else []), *(["--static"] if self.static else [])]
-        words += ["--format", self.format] if self.format else []
-        for text in (*self.resolved, *self.set):
-            words += ["--set", text]
-        return shlex.join(words) or "no options"
+        """The options as on a command line, without the device and those that have their default; "no options" for none."""
+        return shlex.join(replace(self.choice, device="auto", time=None).words()) or "no options"
 
 
 class NoRunError(ArtifactError):
@@ -61,46 +51,25 @@ class NoRunError(ArtifactError):
 
 @dataclass(frozen=True)
 class Given:
-    """The options of a command that looks at the results of a run, as they were given. A preset of None was not given."""
+    """The options of a command that looks at the results of a run. choose: whether any of them chooses among runs."""
 
     capture: Path | None
     workspace: Path
-    preset: str | None = None
-    set: Sequence[str] | None = None
-    device: str = "auto"
+    choice: Choice = NO_CHOICE
     name: str | None = None
-    static: bool = False
-    format: str | None = None
-    time: str | None = None
-
-    @property
-    def choose(self) -> bool:
-        """Whether any of them chooses among runs."""
-        return bool(self.preset is not None or self.set or self.static or self.format is not None or self.time is not None)
+    choose: bool = False
 
 
 def remember(session: Session, target: str, began: float, done: bool = False) -> None:
     """Adds a run to the scene's list, in place of earlier ones with the same target and options."""
     options, file = session.options, session.scene.folder / FILE
-    run = Run(
-        target,
-        options.preset,
-        tuple(options.assignments),
-        options.static,
-        options.format,
-        options.device,
-        round(began, 3),
-        done,
-        options.time,
-        tuple(options.resolved),
-        facts_of(session) if options.time else "",
-    )
+    run = Run(target, options.choice, round(began, 3), done, facts_of(session) if options.choice.time else "")
     earlier = runs_of(session.scene.folder)
     if any(one.done and _same(one) == _same(run) for one in earlier):
         run = replace(run, done=True)  # its results are there, also while it runs again
     others = [one for one in earlier if _same(one) != _same(run) and one.began != run.began]  # a run decides settings as it goes
     with suppress(OSError):  # a workspace that can only be read
-        write_json(file, {"runs": [asdict(one) for one in (*others, run)][-KEPT:]})
+        write_json(file, {"runs": [_row(one) for one in (*others, run)][-KEPT:]})
 
 
 def runs_of(scene: Path) -> list[Run]:
@@ -123,10 +92,8 @@ def decided_for(options: Options) -> Run | None:
     """The run whose settings were decided for the same capture, time and options; None if there is none."""
     named = [] if options.name is None else [options.workspace / "scenes" / options.name]
     scenes = named or scenes_of(options.capture, options.workspace)
-    own = ("", options.preset, tuple(options.assignments), options.static, options.format, options.device)
-    wanted = Run(*own, time=options.time)
-    known = [run for scene in scenes for run in runs_of(scene) if run.resolved]
-    runs = [run for run in known if replace(_same(run), target="", resolved=(), facts="") == wanted]
+    known = [run for scene in scenes for run in runs_of(scene) if run.choice.resolved]
+    runs = [run for run in known if replace(run.choice, resolved=()) == replace(options.choice, resolved=())]
     return max(runs, key=lambda run: run.began, default=None)
 
 
@@ -162,32 +129,20 @@ def options_of_last_run(given: Given, stage: str, done: bool = True) -> Options:
         raise CaptureError(_absent(capture, name, given.workspace))
     run = None if scene is None or given.choose else last_run(scene, stage, done) or last_run(scene)
     if run is None:
-        return Options(
-            capture,
-            workspace,
-            given.preset or "default",
-            given.set or (),
-            given.device,
-            name,
-            given.static,
-            given.format,
-            time=given.time,
-            last=not given.choose,
-        )
+        return Options(capture, workspace, given.choice, name, last=not given.choose)
     assert scene is not None
     if run.words != "no options":
         print(f"{scene.name}: the last run had {run.words}", file=sys.stderr)
-    device = _device(run) if given.device == "auto" else given.device
-    own = (capture, workspace, run.preset, run.set, device, scene.name, run.static, run.format)
-    return Options(*own, resolved=run.resolved, last=True)
+    device = _usable(run.choice.device) if given.choice.device == "auto" else given.choice.device
+    return Options(capture, workspace, replace(run.choice, device=device, time=None), scene.name, last=True)
 
 
-def _device(run: Run) -> str:
-    """The device of the run if this machine has it: its results may be looked at on any other."""
-    if run.device != "auto":
+def _usable(device: str) -> str:
+    """The device of a run if this machine has it: its results may be looked at on any other."""
+    if device != "auto":
         with suppress(SettingsError):
-            resolve_device(run.device)
-            return run.device
+            resolve_device(device)
+            return device
     return "auto"
 
 
@@ -267,12 +222,14 @@ def _newest(scenes: Sequence[Path], stage: str | None) -> Path | None:
     return scenes[0] if len(scenes) == 1 else None
 
 
+def _row(run: Run) -> dict[str, Any]:
+    return {name: value for name, value in asdict(run).items() if name != "choice"} | asdict(run.choice)
+
+
 def _run(row: Any) -> Run | None:
     """A row of the file; None if it is not one of this or an earlier version."""
-    if not isinstance(row, Mapping):
+    if not isinstance(row, Mapping) or not isinstance(row.get("began"), int | float) or not isinstance(row.get("target"), str):
         return None
-    values: dict[str, Any] = {one.name: row[one.name] for one in fields(Run) if one.name in row}
-    values |= {name: tuple(map(str, values.get(name) or ())) for name in ("set", "resolved")}
-    if not isinstance(values.get("began"), int | float) or not isinstance(values.get("target"), str):
-        return None
-    return Run(**values)
+    own, choice = ({one.name: row[one.name] for one in fields(kind) if one.name in row} for kind in (Run, Choice))
+    choice |= {name: tuple(map(str, choice.get(name) or ())) for name in ("set", "resolved")}
+    return Run(**{**own, "choice": Choice(**choice)})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,5 +62,4 @@ def _scene_folder(path: Path, workspace: Path) -> Path:
 def _command(scene: Path) -> str:
     """The command that makes the model of this scene, with the options of its last run."""
     (capture, name, workspace), run = scene_or_capture(scene, scene.parent.parent), last_run(scene) or Run()
-    chosen = (run.preset, run.set, run.device, name, run.static, run.format)
-    return run_command(Options(capture, workspace, *chosen, resolved=run.resolved), "all")
+    return run_command(Options(capture, workspace, replace(run.choice, time=None), name), "all")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,7 +18,7 @@ from ..pipeline.names import composed
 from .last_run import Given, decided_for, options_of_last_run, scene_or_capture
 from .machine.places import check_output, check_workspace, typed_path
 from .results import completed
-from .session import DEFAULT_WORKSPACE, SEEDS, Options
+from .session import DEFAULT_WORKSPACE, NO_CHOICE, SEEDS, Choice, Options
 from .timing.words import seconds_of, words_for
 
 
@@ -85,7 +86,8 @@ def of_capture(command: Callable[..., None]) -> Callable[..., None]:
     """Gives a command the options of a run of a capture, as ``options: Options``."""
 
     def gathered(capture: Path, workspace: Path, debug: bool, **given: Any) -> Options:
-        return with_decided(_options(*scene_or_capture(capture, workspace, given.pop("name")), **given))
+        path, name, workspace = scene_or_capture(capture, workspace, given.pop("name"))
+        return with_decided(_options(path, workspace, name, **given))
 
     return _with_options(command, {"capture": (Capture, _REQUIRED)}, _OF_RUN, gathered)
 
@@ -96,35 +98,30 @@ def of_captures(*without: str) -> Callable[[Callable[..., None]], Callable[..., 
     rows = {name: row for name, row in _OF_SEVERAL.items() if name not in without}
 
     def gathered(workspace: Path, debug: bool, **given: Any) -> Options:
-        return _options(Path(), None, workspace, **given)
+        return _options(Path(), workspace, **given)
 
     return lambda command: _with_options(command, {}, rows, gathered)
 
 
 def _options(
-    capture: Path,
-    name: str | None,
-    workspace: Path,
-    preset: str = "default",
-    set: list[str] | None = None,
-    seed: int | None = None,
-    device: str = "auto",
-    static: bool = False,
-    format: str | None = None,
-    time: str | None = None,
-    store_also: list[Path] | None = None,
+    capture: Path, workspace: Path, name: str | None = None, store_also: list[Path] | None = None, seed: int | None = None, **given: Any
 ) -> Options:
-    seeds = () if seed is None else tuple(f"{setting}={seed}" for setting in SEEDS)
-    assignments, also = (*seeds, *(set or ())), store_also or ()
-    return Options(capture, workspace, preset, assignments, device, name, static, format, also, time)
+    seeds = [] if seed is None else [f"{setting}={seed}" for setting in SEEDS]
+    return Options(capture, workspace, _choice(**{**given, "set": [*seeds, *(given.get("set") or ())]}), name, store_also or ())
+
+
+def _choice(set: list[str] | None = None, **given: Any) -> Choice:
+    return Choice(set=tuple(set or ()), **given)
 
 
 def of_last_run(stage: str, done: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Gives a command the options of an earlier run, as ``options: Options``: those that were given, or those of the last run of the
     capture that included ``stage``. done: prefer a run that came to its end."""
 
-    def gathered(capture: Path | None, debug: bool, **given: Any) -> Options:
-        return with_decided(options_of_last_run(Given(capture, **given), stage, done))
+    def gathered(capture: Path | None, workspace: Path, name: str | None, preset: str | None, debug: bool, **given: Any) -> Options:
+        choice = _choice(preset=preset or "default", **given)
+        choose = preset is not None or replace(choice, device="auto") != NO_CHOICE
+        return with_decided(options_of_last_run(Given(capture, workspace, choice, name, choose), stage, done))
 
     def given_them(command: Callable[..., None]) -> Callable[..., None]:
         own = inspect.signature(command).parameters  # --time has another meaning where something is rendered or exported
@@ -135,10 +132,10 @@ def of_last_run(stage: str, done: bool = True) -> Callable[[Callable[..., None]]
 
 def with_decided(options: Options) -> Options:
     """``options`` with their time in its shortest words, and with the settings that an earlier run decided for it. Raises SettingsError."""
-    if options.time is not None:
-        options.time = words_for(seconds_of(options.time))
+    if options.choice.time is not None:
+        options.choice = replace(options.choice, time=words_for(seconds_of(options.choice.time)))
         run = decided_for(options)
-        options.resolved = () if run is None else run.resolved
+        options.choice = replace(options.choice, resolved=() if run is None else run.choice.resolved)
     return options
 
 

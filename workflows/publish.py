@@ -21,15 +21,15 @@ PLAYER = "player.html"  # in a scene's folder
 
 def plan_json(session: Session, rows: Sequence[Row]) -> dict[str, Any]:
     """The plan as JSON: the scene, what was recognised, and one row per stage."""
-    job = session.job
+    job, choice = session.job, session.options.choice
     return {
         "scene": session.scene.name,
         "capture": str(session.scene.capture),
         "recognised": dict(job.capture.facts),
         "notes": list(session.notes),
         "device": job.device,
-        "preset": session.options.preset,
-        **({"time": session.options.time, "decided": list(session.options.resolved)} if session.options.time else {}),
+        "preset": choice.preset,
+        **({"time": choice.time, "decided": list(choice.resolved)} if choice.time else {}),
         "settings": {name: settings.model_dump(mode="json") for name, settings in job.settings.items()},
         "stages": [row.as_json() for row in rows],
     }

@@ -96,7 +96,8 @@ def completed(text: str, options: Options) -> str:
         command, what = found.groups()
         if command == "run":
             return run_command(options, what)
-        return shlex.join(["e4dgs", "export", what, *words_of(replace(options, time=None, store_also=()))])  # exports take neither
+        taken = replace(options, choice=replace(options.choice, time=None), store_also=())  # exports take neither
+        return shlex.join(["e4dgs", "export", what, *words_of(taken)])
 
     if options.capture != Path():  # one capture
         text = re.sub(r"\be4dgs (run|export) (\w+) CAPTURE\b", words, text)
@@ -113,21 +114,9 @@ def words_of(options: Options) -> list[str]:
     """The capture and the options as words of a command line, without options that have their default."""
     capture = str(options.capture)
     words = [f"./{capture}" if capture.startswith("-") else capture]  # a word that begins with - is an option
-    for flag, value, default in (
-        ("--workspace", str(options.workspace), str(DEFAULT_WORKSPACE)),
-        ("--preset", options.preset, "default"),
-        ("--device", options.device, "auto"),
-        ("--name", options.name, None),
-        ("--format", options.format, None),
-    ):
-        words += [flag, str(value)] if value != default else []
-    words += ["--static"] if options.static else []
-    for path in options.store_also:
-        words += ["--store-also", str(path)]
-    words += ["--time", options.time] if options.time and not options.resolved else []
-    for assignment in (*options.resolved, *options.assignments):
-        words += ["--set", assignment]
-    return words
+    words += ["--workspace", str(options.workspace)] if str(options.workspace) != str(DEFAULT_WORKSPACE) else []
+    words += ["--name", options.name] if options.name is not None else []
+    return words + [word for path in options.store_also for word in ("--store-also", str(path))] + options.choice.words()
 
 
 def trained_stage(session: Session) -> str:

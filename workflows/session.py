@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,21 +21,55 @@ DEFAULT_WORKSPACE = Path("e4dgs-workspace")
 SEEDS = ("poses.seed", "train.seed")  # settings that --seed sets
 
 
+@dataclass(frozen=True)
+class Choice:
+    """The options that choose the results of a run."""
+
+    preset: str = "default"
+    set: tuple[str, ...] = ()
+    device: str = "auto"
+    static: bool = False
+    format: str | None = None
+    time: str | None = None  # how long the run may take, in the words of `timing.words`
+    resolved: tuple[str, ...] = ()  # settings that were decided for that time, as for --set
+
+    def words(self) -> list[str]:
+        """As words of a command line, without those that have their default."""
+        words = ["--preset", self.preset] if self.preset != "default" else []
+        words += ["--device", self.device] if self.device != "auto" else []
+        words += ["--format", self.format] if self.format is not None else []
+        words += ["--static"] if self.static else []
+        words += ["--time", self.time] if self.time and not self.resolved else []
+        return words + [word for text in (*self.resolved, *self.set) for word in ("--set", text)]
+
+    def assignments(self) -> list[tuple[str, Any]]:
+        """Settings from the preset, then what --time decided, then --static and --format, then --set; later ones win. Raises
+        SettingsError."""
+        if self.preset not in PRESETS:
+            raise SettingsError(f"--preset {self.preset}: there is no such preset; presets: {', '.join(PRESETS)}")
+        chosen = [*PRESETS[self.preset].items(), *assigned(self.resolved)]
+        chosen += [("frames.static", True)] if self.static else []
+        chosen += [("frames.format", self.format)] if self.format is not None else []
+        return chosen + assigned(self.set)
+
+
+NO_CHOICE = Choice()
+
+
+def assigned(texts: Sequence[str]) -> list[tuple[str, Any]]:
+    """(stage.key, value) of each of ``--set``. Raises SettingsError."""
+    return [(f"{stage}.{key}", value) for stage, key, value in map(split_assignment, texts)]
+
+
 @dataclass
 class Options:
     """What the user gave on the command line."""
 
     capture: Path
     workspace: Path = DEFAULT_WORKSPACE
-    preset: str = "default"
-    assignments: Sequence[str] = ()
-    device: str = "auto"
+    choice: Choice = NO_CHOICE
     name: str | None = None
-    static: bool = False
-    format: str | None = None
     store_also: Sequence[Path] = ()  # other workspaces, or their stores
-    time: str | None = None  # how long the run may take, in the words of `timing.words`
-    resolved: Sequence[str] = ()  # settings that were decided for that time, as for --set
     last: bool = False  # these are the options of the last run: what that made is meant, also if the code has changed since
 
 
@@ -59,10 +93,11 @@ class Session:
 
     def resolve(self, values: Mapping[str, Any]) -> None:
         """Changes settings that were left to be decided, by their names. What has already run keeps its own."""
-        others = [text for text in self.options.resolved if text.partition("=")[0] not in values]
-        self.options.resolved = [*others, *(f"{name}={value}" for name, value in values.items())]
+        others = [text for text in self.options.choice.resolved if text.partition("=")[0] not in values]
+        decided = (*others, *(f"{name}={value}" for name, value in values.items()))
+        self.options.choice = replace(self.options.choice, resolved=decided)
         classes = self.job.graph.settings
-        built, names = build_settings(classes, assignments_of(self.options)), settings_by_name(classes)
+        built, names = build_settings(classes, self.options.choice.assignments()), settings_by_name(classes)
         changed = {stage for name in values for stage in names[name][0]}
         self.job.settings = {**self.job.settings, **{stage: built[stage] for stage in changed}}
 
@@ -74,8 +109,8 @@ def open_session(options: Options) -> Session:
 
     graph = reconstruction()
     notes: list[str] = []
-    settings = build_settings(graph.settings, assignments_of(options), notes.append)
-    device = resolve_device(options.device)
+    settings = build_settings(graph.settings, options.choice.assignments(), notes.append)
+    device = resolve_device(options.choice.device)
     frames = settings["frames"]
     assert isinstance(frames, FramesSettings)
     workspace = options.workspace.resolve()
@@ -108,20 +143,3 @@ def other_stores(paths: Sequence[Path]) -> list[Path]:
             raise SettingsError(f"--store-also {path}: there is no such folder; name a workspace, or the store in it")
         found.append(place / "store" if (place / "store").is_dir() else place)
     return found
-
-
-def assignments_of(options: Options) -> list[tuple[str, Any]]:
-    """Settings from the preset, then what --time decided, then --static and --format, then --set; later ones win. Raises
-    SettingsError."""
-    if options.preset not in PRESETS:
-        raise SettingsError(f"--preset {options.preset}: there is no such preset; presets: {', '.join(PRESETS)}")
-    chosen: list[tuple[str, Any]] = list(PRESETS[options.preset].items())
-    chosen += [(f"{stage}.{key}", value) for stage, key, value in map(split_assignment, options.resolved)]
-    if options.static:
-        chosen.append(("frames.static", True))
-    if options.format is not None:
-        chosen.append(("frames.format", options.format))
-    for text in options.assignments:
-        stage, key, value = split_assignment(text)
-        chosen.append((f"{stage}.{key}", value))
-    return chosen

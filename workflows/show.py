@@ -40,7 +40,7 @@ def show_capture(console: Console, session: Session) -> None:
 def show_plan(console: Console, rows: Sequence[Row], session: Session) -> None:
     """Prints one line per stage: state, estimate, what it does and why; settings that change nothing; with --time, what the run is expected
     to take."""
-    time = session.options.time
+    time = session.options.choice.time
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for title in ("stage", "state", "estimate", "reason"):
         table.add_column(title, no_wrap=title != "reason", overflow="fold")
@@ -61,7 +61,7 @@ def without_effect(rows: Sequence[Row], session: Session) -> list[str]:
     """A line for each setting of --set that only stages have which are skipped for another reason."""
     skipped = {row.stage: row.reason for row in rows if row.state == "skip"}
     known, lines = settings_by_name(session.job.graph.settings), []
-    for text in session.options.assignments:
+    for text in session.options.choice.set:
         name = text.partition("=")[0].strip()
         stages = known[name][0] if name in known and name not in SEEDS else []
         reasons = [skipped.get(stage) for stage in stages]

@@ -10,7 +10,7 @@ from e4dgs.stages.estimates import first_training_seconds
 from e4dgs.stages.evaluate.stage import Evaluate
 from e4dgs.stages.fine.stage import Fine
 from e4dgs.workflows.reconstruction import reconstruction
-from e4dgs.workflows.session import Options, assignments_of
+from e4dgs.workflows.session import Choice
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results" / "rows"
 RIG = {"static": False, "pairs": 300}
@@ -32,7 +32,7 @@ def current(scene):
     if row["stale"]:
         pytest.skip("the row was measured before a change that touches it")
     given = [word for word in row["options"] if word != "--set"]  # what the run was given beside the capture
-    return row["runs"][0], build_settings(reconstruction().settings, assignments_of(Options(Path(scene), assignments=given)))
+    return row["runs"][0], build_settings(reconstruction().settings, Choice(set=given).assignments())
 
 
 @pytest.mark.parametrize("scene", FACTS)

@@ -9,14 +9,15 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from e4dgs.workflows.session import Options, open_session
+from e4dgs.workflows.session import Choice, Options, open_session
 from e4dgs.workflows.storage.archive import InUse, mark_of, unpacked
 from e4dgs.workflows.storage.caches import kept, remove
 
 WORK = Path("e4dgs-workspace")
 HOLDS = (
-    "import sys\nfrom pathlib import Path\nfrom e4dgs.workflows.session import Options, open_session\n"
-    "session = open_session(Options(Path(sys.argv[1]), Path(sys.argv[2]), device='cpu'))\nprint('open', flush=True)\nsys.stdin.read()"
+    "import sys\nfrom pathlib import Path\nfrom e4dgs.workflows.session import Choice, Options, open_session\n"
+    "session = open_session(Options(Path(sys.argv[1]), Path(sys.argv[2]), Choice(device='cpu')))\nprint('open', flush=True)\n"
+    "sys.stdin.read()"
 )
 
 
@@ -94,7 +95,7 @@ def test_gc_spares_what_another_process_reads_until_that_dies(cli, capture):
 
 def test_a_session_holds_it_as_long_as_its_capture_lives(capture, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    session = open_session(Options(archive(capture), WORK, device="cpu"))
+    session = open_session(Options(archive(capture), WORK, Choice(device="cpu")))
     (item,) = kept(WORK)
     assert not remove(item) and session.job.capture.root.is_dir()
     del session

@@ -8,7 +8,7 @@ import pytest
 from e4dgs.workflows.cli import main
 from e4dgs.workflows.last_run import KEPT, Run, last_run, runs_of
 from e4dgs.workflows.results import words_of
-from e4dgs.workflows.session import Options
+from e4dgs.workflows.session import Choice, Options
 
 QUICK = ["--set", "coarse.iterations=5", "--set", "hulls.budget=0", "--set", "fine.iterations=0", "--device", "cpu"]
 
@@ -142,7 +142,7 @@ def test_an_empty_workspace_and_an_unknown_scene_are_errors(tmp_path, capsys):
 def test_the_list_of_runs_is_bounded_and_survives_damage(tmp_path):
     rows = [{"target": "all", "began": float(k), "set": [f"coarse.seed={k}"], "unknown": 1} for k in range(KEPT + 5)]
     (tmp_path / "runs.json").write_text(json.dumps({"runs": [*rows, 5, {"target": "all"}, {"began": 1.0}]}))
-    assert last_run(tmp_path) == Run("all", set=(f"coarse.seed={KEPT + 4}",), began=float(KEPT + 4))
+    assert last_run(tmp_path) == Run("all", Choice(set=(f"coarse.seed={KEPT + 4}",)), began=float(KEPT + 4))
     (tmp_path / "runs.json").write_text("[]")
     assert runs_of(tmp_path) == [] and last_run(tmp_path, "coarse") is None
 

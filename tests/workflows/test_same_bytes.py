@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 from e4dgs.pipeline import Artifact, Runner
-from e4dgs.workflows.session import Options, open_session
+from e4dgs.workflows.session import Choice, Options, open_session
 from factory import Options as Scene
 from factory import make, write_dnerf, write_n3v
 
@@ -15,7 +15,7 @@ QUICK = ["coarse.iterations=60", "seeds.count=200", "hulls.min_edge_density=0.05
 
 def made(root: Path, workspace: Path, motion: str) -> dict[str, Artifact]:
     """What each stage wrote into a new ``workspace``."""
-    options = Options(root, workspace, assignments=[*QUICK, f"train.motion={motion}"], device="cpu")
+    options = Options(root, workspace, Choice(set=(*QUICK, f"train.motion={motion}"), device="cpu"))
     outcomes = Runner(open_session(options).job).run()
     assert {outcome.state for outcome in outcomes} <= {"ran", "skipped"}
     return {outcome.stage: outcome.artifact for outcome in outcomes if outcome.artifact is not None}

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 from e4dgs.pipeline import Row
 from e4dgs.workflows.reconstruction import reconstruction
+from e4dgs.workflows.session import Choice
 from e4dgs.workflows.show import without_effect
 
 SKIPPED = {"flow": "no camera saw two times", "hulls": "hulls.budget is 0", "fine": "fine.iterations is 0"}
@@ -12,7 +13,8 @@ SKIPPED = {"flow": "no camera saw two times", "hulls": "hulls.budget is 0", "fin
 def lines(*assignments):
     graph = reconstruction()
     rows = [Row(name, "skip" if name in SKIPPED else "run", SKIPPED.get(name, "never run")) for name in graph.stages]
-    return without_effect(rows, SimpleNamespace(job=SimpleNamespace(graph=graph), options=SimpleNamespace(assignments=assignments)))
+    options = SimpleNamespace(choice=Choice(set=assignments))
+    return without_effect(rows, SimpleNamespace(job=SimpleNamespace(graph=graph), options=options))
 
 
 def test_a_setting_of_a_skipped_stage_is_named():

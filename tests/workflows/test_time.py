@@ -59,8 +59,8 @@ def test_what_was_decided_is_in_the_settings_and_kept(ran):
     _, workspace, _ = ran
     (run,) = runs_of(scene(workspace))
     plan = read_json(scene(workspace) / "plan.json")
-    decided = dict(text.split("=") for text in run.resolved)
-    assert run.time == plan["time"] == TIME and run.done and list(run.resolved) == plan["decided"]
+    decided = dict(text.split("=") for text in run.choice.resolved)
+    assert run.choice.time == plan["time"] == TIME and run.done and list(run.choice.resolved) == plan["decided"]
     assert 20 <= int(decided["coarse.iterations"]) <= 300
     assert {"coarse.iterations", "fine.iterations", "hulls.share"} <= decided.keys()
     for name, value in decided.items():
@@ -86,20 +86,20 @@ def test_what_was_measured_is_known_in_the_workspace(ran):
 def test_a_repeat_is_cached_and_measures_nothing(ran, monkeypatch, capsys):
     capture, workspace, _ = ran
     monkeypatch.setattr(rehearse, "rehearse", lambda *a, **k: pytest.fail("measured again"))
-    before = runs_of(scene(workspace))[0].resolved
+    before = runs_of(scene(workspace))[0].choice.resolved
     words = ["run", "all", str(capture), "--workspace", str(workspace), *QUICK]
     assert main([*words, "--time", "0m20s"]) == 0, capsys.readouterr().err
     assert set(states(workspace).values()) <= {"cached", "skipped"}
-    assert runs_of(scene(workspace))[-1].resolved == before
+    assert runs_of(scene(workspace))[-1].choice.resolved == before
 
 
 def test_a_stage_that_runs_again_keeps_them(ran, monkeypatch, capsys):
     capture, workspace, _ = ran
     monkeypatch.setattr(rehearse, "rehearse", lambda *a, **k: pytest.fail("measured again"))
-    before = runs_of(scene(workspace))[0].resolved
+    before = runs_of(scene(workspace))[0].choice.resolved
     words = ["run", "fine", str(capture), "--time", TIME, "--force", "--workspace", str(workspace), *QUICK]
     assert main(words) == 0, capsys.readouterr().err
-    assert {run.target: run.resolved for run in runs_of(scene(workspace))} == {"all": before, "fine": before}
+    assert {run.target: run.choice.resolved for run in runs_of(scene(workspace))} == {"all": before, "fine": before}
     assert main(["run", "all", *words[2:5], *words[6:]]) == 0
     assert set(states(workspace).values()) <= {"cached", "skipped"}
 

@@ -122,12 +122,12 @@ def test_without_a_model_it_says_how_to_make_one(dnerf_capture, tmp_path, capsys
 def test_a_run_that_trains_is_seen_by_its_checkpoints(finished_run):
     """The same words find the run's checkpoint as long as its result is not there."""
     from e4dgs.scene.training.checkpoint import model_of
-    from e4dgs.workflows.session import Options, open_session
+    from e4dgs.workflows.session import Choice, Options, open_session
     from e4dgs.workflows.view.source import Source
 
     capture, workspace = finished_run
     longer = ["coarse.iterations=100000", "coarse.checkpoint_seconds=0.5", "coarse.patience=100000"]
-    source = Source(open_session(Options(capture.root, workspace, assignments=longer, device="cpu")))
+    source = Source(open_session(Options(capture.root, workspace, Choice(set=longer, device="cpu"))))
     command = [sys.executable, "-m", "e4dgs.workflows.cli", "run", "coarse", str(capture.root), "--workspace", str(workspace)]
     run = subprocess.Popen([*command, "--device", "cpu", *(word for one in longer for word in ("--set", one))], stdout=subprocess.DEVNULL)
     try:

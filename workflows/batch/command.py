@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.console import Console
 
-from ...pipeline import SettingsError, counted, say, split_assignment
+from ...pipeline import SettingsError, counted, say
 from ...stages.captures import usual
 from ..machine.terminal import make_console
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace, of_captures, typed_name
 from ..results import words_of
 from ..scenes import check_name
-from ..session import DEFAULT_WORKSPACE, Options, other_stores
+from ..session import DEFAULT_WORKSPACE, Options, assigned, other_stores
 from .board import table, watch
 from .ledger import Ledger, Progress, batches
 from .listing import Entry, entries_of
@@ -55,7 +55,8 @@ def batch(
 ) -> None:
     """Run many captures; an unfinished batch is continued. Exit code 1 if a scene failed."""
     check_name(name, f"--name {name}")
-    settings, workspace, device = tuple(_split(text) for text in options.assignments), options.workspace.resolve(), options.device
+    choice, workspace = options.choice, options.workspace.resolve()
+    settings, device = assigned(choice.set), choice.device
     _refuse_what_is_local({"--jobs": jobs, "--memory": memory, "--retries": retries}, executor, emit)
     cluster = None
     if executor != "local":
@@ -71,7 +72,7 @@ def batch(
     gpu = device != "cpu" and (emit is not None if cluster is None else cluster.gpu is not None)
     sized = (("frames.max_size", str(usual.USUAL["cuda"].size)),) if gpu else ()
     also = tuple(str(path) for path in other_stores(options.store_also))
-    common = Entry("", "", (*sized, *settings), options.preset, options.static, options.format, device, store_also=also)
+    common = Entry("", "", (*sized, *settings), choice.preset, choice.static, choice.format, device, store_also=also)
     entries = entries_of(captures, common)
     words = ["e4dgs", "batch", *captures, *words_of_batch(name, executor, jobs, memory, retries, stage_timeout, emit)]
     words += words_of(options)[1:]
@@ -171,8 +172,3 @@ def _refuse_what_is_local(given: dict[str, Any], executor: str, emit: str | None
         if emit is not None:
             raise SettingsError(f"{option} is for batches that run on this machine, not for --emit {emit}: {in_scripts}")
         raise SettingsError(f"{option} is for batches on this machine, not for --executor {executor}: {in_file} in that file")
-
-
-def _split(text: str) -> tuple[str, str]:
-    stage, key, value = split_assignment(text)
-    return f"{stage}.{key}", value

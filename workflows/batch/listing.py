@@ -17,7 +17,7 @@ from ...pipeline import SettingsError
 from ...pipeline.files import digest_bytes
 from ...pipeline.names import composed, fitted, only_safe, safe_name
 from ..scenes import check_name
-from ..session import Options
+from ..session import Choice, Options
 from .yaml_files import read_yaml
 
 MOST_SCENES = 100_000
@@ -39,9 +39,8 @@ class Entry:
     store_also: tuple[str, ...] = ()
 
     def options(self, workspace: Path) -> Options:
-        assignments = [f"{key}={value}" for key, value in self.settings]
-        also = [Path(path) for path in self.store_also]
-        return Options(Path(self.capture), workspace, self.preset, assignments, self.device, self.name, self.static, self.format, also)
+        choice = Choice(self.preset, tuple(f"{key}={value}" for key, value in self.settings), self.device, self.static, self.format)
+        return Options(Path(self.capture), workspace, choice, self.name, [Path(path) for path in self.store_also])
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)

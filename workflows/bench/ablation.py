@@ -82,13 +82,13 @@ def ablation(
     """Run the rows of the paper's Table 3 (convexes, edge terms, strategies) on captures. Stages on which rows agree run once."""
     console = make_console()
     chosen = choose(rows)
-    points = [(name, options.preset, ROWS[name]) for name in chosen]
+    points = [(name, options.choice.preset, ROWS[name]) for name in chosen]
     jobs = [(replace(options, capture=capture), point, seed) for capture in captures for point in points for seed in range(seeds)]
     runs = []
     for run in measured(jobs, console):
         runs.append(run)
         output.write(out / "ablation.json", content(runs, machine(), jobs[0][0]))  # after each run, so a failure does not lose earlier ones
-        write(out, summaries(runs), f"Preset {options.preset}. {' '.join(options.assignments)}")
+        write(out, summaries(runs), f"Preset {options.choice.preset}. {' '.join(options.choice.set)}")
     console.print(table(summaries(runs)))
     say(f"table: {out / 'ablation.html'}", to=console)
 

@@ -77,7 +77,7 @@ def measure(options: Options, point: Point, seed: int, console: Console, say: Ca
     """Runs everything at ``point``; ``options`` apply to all points."""
     name, preset, assignments = point
     seeds = tuple(f"{setting}={seed}" for setting in SEEDS) if seed else ()
-    own = replace(options, preset=preset, assignments=(*options.assignments, *assignments, *seeds))
+    own = replace(options, choice=replace(options.choice, preset=preset, set=(*options.choice.set, *assignments, *seeds)))
     session = open_session(own)
     slug = "".join(c if c.isalnum() or c in "._-" else "-" for c in f"{session.scene.name}-{name}-{seed}")
     session = open_session(replace(own, name=slug[-100:].lstrip("._-")))
@@ -149,9 +149,9 @@ def content(runs: Sequence[Run], facts: dict[str, Any], options: Options) -> dic
     protocol = {
         "seconds": "wall time of all stages; a cached stage counts as the run took that made it",
         "metrics": "means over the views of a split; see evaluate; held out is test, else val",
-        "settings": list(options.assignments),
-        "device": options.device,
-        "static": options.static,
+        "settings": list(options.choice.set),
+        "device": options.choice.device,
+        "static": options.choice.static,
     }
     return {"machine": facts, "protocol": protocol, "points": summaries(runs), "runs": [asdict(run) for run in runs]}
 

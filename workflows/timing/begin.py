@@ -23,15 +23,15 @@ from .words import seconds_of
 def begin(options: Options, say: Callable[[str], None], anew: bool = False) -> tuple[Session, Timed | None]:
     """The session of a run, and what decides its settings if it has to keep to a time. say: called with lines for people. anew: what an
     earlier run decided for the same time does not count. Raises what `open_session` raises."""
-    if options.time is None:
+    if options.choice.time is None:
         return open_session(options), None
-    deadline = Deadline.of(options.time)
+    deadline = Deadline.of(options.choice.time)
     if anew:
-        options.resolved = ()
+        options.choice = replace(options.choice, resolved=())
     session = open_session(options)
-    if options.resolved and (run := decided_for(options)) is not None and run.facts != facts_of(session):
-        say(f"--time {options.time}: the capture has changed since its settings were decided, so they are decided again")
-        options.resolved = ()
+    if options.choice.resolved and (run := decided_for(options)) is not None and run.facts != facts_of(session):
+        say(f"--time {options.choice.time}: the capture has changed since its settings were decided, so they are decided again")
+        options.choice = replace(options.choice, resolved=())
         session = open_session(options)
     session = sized(session, deadline, say)
     return session, Timed(session, deadline, say)
@@ -44,13 +44,13 @@ def expect(session: Session, rows: Sequence[Row]) -> list[Row]:
         return list(rows)
     job = session.job
     known = Known(job.store.root.parent, job.device)
-    if session.options.time is None:
+    if session.options.choice.time is None:
         ratio = known.machine_ratio()
         return [row if row.estimate is None else replace(row, estimate=row.estimate * ratio) for row in rows]
     found = {row.stage: row.estimate * known.stage_ratio(row.stage) for row in rows if row.state == "run" and row.estimate is not None}
     before = sum(seconds for stage, seconds in found.items() if stage not in (COARSE, HULLS, FINE, EVALUATION))
     times, decisions, at_one = guessed_times(job, known), Decisions(session), steps_at_one(job)
-    left = (seconds_of(session.options.time) - before) - left_to_publish(known)
+    left = (seconds_of(session.options.choice.time) - before) - left_to_publish(known)
     fixed = int(decisions.value(STEPS)) if decisions.given(STEPS) or decisions.made_earlier(STEPS) else None
     chosen, evaluation = choose_with(Evaluating(job, known), left, times, at_one, fixed)
     expected = {COARSE: chosen.coarse, HULLS: chosen.hulls, FINE: chosen.fine, EVALUATION: evaluation}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ...pipeline import build_settings, settings_by_name, split_assignment
-from ..session import Session
+from ...pipeline import build_settings, settings_by_name
+from ..session import Session, assigned
 
 
 class Decisions:
@@ -17,8 +17,7 @@ class Decisions:
         self._mine: set[str] = set()
         classes = session.job.graph.settings
         self._stages = {name: stages[0] for name, (stages, _) in settings_by_name(classes).items()}
-        given = [(f"{stage}.{key}", value) for stage, key, value in map(split_assignment, session.options.assignments)]
-        self._given = build_settings(classes, given)  # also where an older spelling was used
+        self._given = build_settings(classes, assigned(session.options.choice.set))  # also where an older spelling was used
 
     def given(self, name: str) -> bool:
         """Whether the user chose this setting."""
@@ -26,7 +25,7 @@ class Decisions:
 
     def made_earlier(self, *names: str) -> bool:
         """Whether an earlier run with this time decided one of these settings. Its decisions stay, or results would not be found again."""
-        resolved = {text.partition("=")[0] for text in self.session.options.resolved}
+        resolved = {text.partition("=")[0] for text in self.session.options.choice.resolved}
         return bool((resolved & set(names)) - self._mine)
 
     def mine(self, *names: str) -> bool:

@@ -36,12 +36,12 @@ class Timed:
         """Takes notice of a stage that is done, and decides for the next one. Returns whether anything was decided."""
         self._artifacts[outcome.stage] = outcome.artifact
         self._learn(outcome)
-        order, before = list(self.job.graph.stages), list(self.session.options.resolved)
+        order, before = list(self.job.graph.stages), self.session.options.choice.resolved
         following = order[order.index(outcome.stage) + 1 :]
         if following:
             decide = {COARSE: self._before_coarse, FINE: self._before_fine, EVALUATION: self._before_evaluate}
             decide.get(following[0], lambda: None)()
-        return list(self.session.options.resolved) != before
+        return self.session.options.choice.resolved != before
 
     def published(self, seconds: float) -> None:
         """Takes notice of how long it took to write the report and the metrics, and keeps in the workspace what was learned."""

@@ -22,8 +22,9 @@ def viewer_beside(options: Options) -> Iterator[None]:
 
     The viewer ends with this process, even if this process is killed.
     """
-    command = [sys.executable, "-m", "e4dgs.workflows.cli", "view", *words_of(replace(options, store_also=(), resolved=())), "--wait"]
-    command += ["--preset", options.preset] if options.preset == "default" else []  # without options it would show the last run
+    given = replace(options, choice=replace(options.choice, resolved=()), store_also=())
+    command = [sys.executable, "-m", "e4dgs.workflows.cli", "view", *words_of(given), "--wait"]
+    command += ["--preset", "default"] if options.choice.preset == "default" else []  # without options it would show the last run
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=dict(os.environ) | {STARTER: str(os.getpid())})
     try:
         yield

@@ -68,9 +68,9 @@ class Source:
     def _follow(self) -> None:
         """Takes over what a run that keeps to a time has decided meanwhile."""
         options = self.session.options
-        run = decided_for(options) if options.time is not None else None
-        if run is not None and tuple(run.resolved) != tuple(options.resolved):
-            self.session = open_session(replace(options, resolved=run.resolved))
+        run = decided_for(options) if options.choice.time is not None else None
+        if run is not None and run.choice != options.choice:
+            self.session = open_session(replace(options, choice=run.choice))
 
     def _of_last_run(self, wanted: Sequence[str]) -> Found | None:
         """The model that the last run made, where the code or the capture has changed since."""
