@@ -26,8 +26,7 @@ from .machine.spinning import spin_briefly
 from .machine.terminal import make_console, write_any_letter
 from .machine.writable import writing_to
 from .options import Debug, Workspace, of_capture, of_last_run
-from .report import report
-from .runs import execute
+from .runs import execute, report
 from .session import DEFAULT_WORKSPACE, Options, open_session
 from .storage.command import COMMANDS
 from .storage.command import app as store

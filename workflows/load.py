@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 
 from ..pipeline import ArtifactError, Records, Store
 from ..pipeline.files import read_json
-from .last_run import Run, last_run, scene_or_capture, scenes_of
+from .last_run import Run, last_run
 from .machine.devices import resolve_device
 from .results import run_command
+from .scenes import scenes_of
 from .session import DEFAULT_WORKSPACE, Options
+from .which_scene import scene_or_capture
 
 if TYPE_CHECKING:
     from ..scene.model import Model

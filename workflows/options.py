@@ -15,11 +15,12 @@ import typer
 
 from ..pipeline import PipelineError
 from ..pipeline.names import composed
-from .last_run import Given, decided_for, options_of_last_run, scene_or_capture
+from .last_run import decided_for
 from .machine.places import check_output, check_workspace, typed_path
 from .results import completed
 from .session import DEFAULT_WORKSPACE, NO_CHOICE, SEEDS, Choice, Options
 from .timing.words import seconds_of, words_for
+from .which_scene import Given, options_of_last_run, scene_or_capture
 
 
 def typed_name(value: str | None) -> str | None:

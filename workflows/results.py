@@ -8,8 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..pipeline import Artifact, CaptureError, Row, make_plan
-from .last_run import NoRunError, last_run, scenes_of
+from .last_run import last_run
+from .scenes import scenes_of
 from .session import DEFAULT_WORKSPACE, Options, Session
+from .which_scene import NoRunError
 
 
 def results(session: Session, stage: str) -> dict[str, Artifact | None]:

@@ -1,4 +1,4 @@
-"""Runs a plan: executes the stages one after another, then publishes their results."""
+"""Runs a plan: executes the stages one after another, then publishes their results. `e4dgs report` publishes them again."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from typing import Any
 
 from rich.console import Console
 
-from ..pipeline import Row, Runner, duration
+from ..pipeline import Artifact, Outcome, Row, Runner, duration, make_plan, say
 from .last_run import remember
+from .machine.terminal import make_console
+from .machine.writable import writing_to
+from .options import of_last_run
 from .reconstruction import EVALUATION, LIBRARIES
-from .results import completed
-from .session import Session
+from .results import completed, made, missing
+from .session import Options, Session, open_session
 from .timing.known import Known
 from .timing.left import Left
 from .timing.timed import Timed
@@ -71,3 +74,42 @@ def execute(
     if timed is not None:
         timed.published(time.monotonic() - begin)
     return published
+
+
+@of_last_run("evaluate")
+def report(options: Options) -> None:
+    """Write metrics.json and report.html of a finished run again, and say where they are."""
+    session = open_session(options)
+    rows = make_plan(session.job)
+    (last,) = [row for row in rows if row.stage == EVALUATION]
+    if last.state == "run":
+        say(str(_page_of_last_run(session, rows, last)))
+        return
+    console = make_console()
+    with writing_to(options.workspace.resolve()):
+        (session.scene.folder / "records" / "report-shows.json").unlink(missing_ok=True)
+        found = execute(session, rows, console, lambda line: None)
+    assert found is not None
+    say(str(found[1]))
+
+
+def _page_of_last_run(session: Session, rows: Sequence[Row], last: Row) -> Path:
+    """Draws the page of what the scene's last run made, also if the code or the capture has changed since. Raises NoRunError if the store
+    no longer has it, or other options were given."""
+    from .publish import publish
+
+    found = made(session, EVALUATION) if session.options.last else None
+    if found is None:
+        raise missing(session, last)
+    outcomes = [_outcome(row, found.get(row.stage)) for row in rows]
+    with writing_to(session.options.workspace.resolve()):
+        session.claim()
+        (session.scene.folder / "records" / "report-shows.json").unlink(missing_ok=True)
+        return publish(session, rows, outcomes)[1]
+
+
+def _outcome(row: Row, artifact: Artifact | None) -> Outcome:
+    if artifact is None:
+        return Outcome(row.stage, "skipped", row.reason if row.state == "skip" else "the last run did not use it")
+    spent = artifact.provenance
+    return Outcome(row.stage, "cached", "of the last run", spent["seconds"], spent["peak_rss_mb"], artifact)

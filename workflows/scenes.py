@@ -127,12 +127,27 @@ def _other_name(scene: Scene) -> Scene:
     return replace(scene, name=name, folder=scene.folder.parent / name, renamed=True, gone=owner if _is_gone(owner) else None)
 
 
-def _owner(folder: Path) -> str | None:
-    """Path of the capture that a scene's folder belongs to, or None if the folder is free."""
+def owner_of(folder: Path) -> str | None:
+    """Path of the capture that a scene's folder names as its own; None if it is no scene's folder."""
     claim = read_json(folder / CLAIM)
-    if isinstance(claim, dict) and isinstance(claim.get("path"), str):
-        return claim["path"]
-    return "an unknown capture" if _content(folder) else None
+    return claim["path"] if isinstance(claim, dict) and isinstance(claim.get("path"), str) else None
+
+
+def scenes_in(workspace: Path) -> list[Path]:
+    """Folders of all scenes of a workspace, by name."""
+    return [claim.parent for claim in sorted((workspace / "scenes").glob(f"*/{CLAIM}"))]
+
+
+def scenes_of(capture: Path, workspace: Path) -> list[Path]:
+    """Those that were made from this capture."""
+    path = str(Path(os.path.abspath(capture.expanduser())).resolve())
+    return [folder for folder in scenes_in(workspace) if owner_of(folder) == path]
+
+
+def _owner(folder: Path) -> str | None:
+    """As `owner_of`, but None only for a folder that is free."""
+    owner = owner_of(folder)
+    return "an unknown capture" if owner is None and _content(folder) else owner
 
 
 def _is_gone(owner: str | None) -> bool:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..last_run import Given, options_of_last_run
 from ..session import DEFAULT_WORKSPACE
+from ..which_scene import Given, options_of_last_run
 from .trained import open_trained
 
 if TYPE_CHECKING:

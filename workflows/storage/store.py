@@ -13,13 +13,13 @@ from ...pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, cou
 from ...pipeline.files import sizes
 from ...pipeline.names import composed
 from ...pipeline.records import differences
-from ..last_run import scene_of
 from ..machine.terminal import make_console
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
 from ..reconstruction import reconstruction
 from ..results import in_workspace
 from ..session import DEFAULT_WORKSPACE
+from ..which_scene import scene_of
 from .amounts import age, megabytes
 from .stored import Stored, every, find, opened, users
 from .table import fitted

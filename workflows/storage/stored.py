@@ -10,8 +10,8 @@ from typing import Any
 from ...pipeline import ArtifactError, Records, SettingsError, Store
 from ...pipeline.files import bytes_in, read_json
 from ...pipeline.names import composed
-from ..last_run import scene_of
 from ..results import in_workspace
+from ..which_scene import scene_of
 
 SHORTEST = 4  # digits of a key that are enough if they identify a single result
 

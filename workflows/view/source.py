@@ -10,9 +10,10 @@ from ...pipeline import Artifact, Row, make_plan
 from ...scene.model import Model
 from ...scene.training.checkpoint import FILE, model_of
 from ...stages.shared.model import read_model
-from ..last_run import NoRunError, decided_for
+from ..last_run import decided_for
 from ..results import made, missing
 from ..session import Session, open_session
+from ..which_scene import NoRunError
 
 TRAINED = ("fine", "coarse")  # best first
 
