@@ -91,6 +91,14 @@ class Session:
             say(f"the capture of scene {self.scene.name} was {earlier}, which is gone; it is now {self.scene.capture}")
         self.job.records = self.scene.records
 
+    def export_folder(self, out: Path | None, kind: str) -> Path:
+        """``out``, or the scene's folder for exports of this ``kind``."""
+        if out is not None:
+            return out
+        with writing_to(self.options.workspace.resolve()):
+            self.claim()
+        return self.scene.folder / "export" / kind
+
     def resolve(self, values: Mapping[str, Any]) -> None:
         """Changes settings that were left to be decided, by their names. What has already run keeps its own."""
         others = [text for text in self.options.choice.resolved if text.partition("=")[0] not in values]

@@ -3,6 +3,8 @@ spread over time and a velocity for each. Time is normalised to [0, 1]."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -14,7 +16,7 @@ SHORTEST = 1e-4  # least spread that is written
 BEYOND = ("time", "log_duration", *(f"velocity_{k}" for k in range(3)))
 
 
-def freetime_bytes(pieces: Pieces, frames: int, comments: tuple[str, ...] = ()) -> bytes:
+def freetime_bytes(pieces: Pieces, frames: int, comments: Sequence[str] = ()) -> bytes:
     """The file with ``pieces``, which have no windows here: their opacity alone says when they are there. ``frames``: of the clip."""
     look = pieces.gaussians
     assert look.sh is not None

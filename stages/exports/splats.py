@@ -112,6 +112,11 @@ def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:
     return Turn.levelling(direction, up or usual) if frames.solved else Turn(axis, up or usual)
 
 
+def comments_of(turn: Turn | None, antialiased: bool) -> list[str]:
+    """Lines of the header of a .ply file. Brush and splat-transform (3.2 and later) read the first, and write it."""
+    return [f"SplatRenderMode: {'mip' if antialiased else 'default'}", *([] if turn is None else [f"up: {turn.after}"])]
+
+
 def encoder(kind: SplatFormat, turn: Turn | None = None, antialiased: bool = False) -> Callable[[Gaussians], tuple[bytes, int]]:
     """A function from Gaussians to the bytes of a file of ``kind`` and the number of Gaussians in it.
 
@@ -132,8 +137,7 @@ def encoder(kind: SplatFormat, turn: Turn | None = None, antialiased: bool = Fal
         )
     if kind == "gltf":
         return partial(glb_bytes, turn=turn)
-    # Brush and splat-transform (3.2 and later) read this comment, and write it.
-    comments = [f"SplatRenderMode: {'mip' if antialiased else 'default'}", *([] if turn is None else [f"up: {turn.after}"])]
+    comments = comments_of(turn, antialiased)
     writers: dict[SplatFormat, Callable[[Gaussians], tuple[bytes, int]]] = {
         "ply": partial(ply_bytes, comments=comments),
         "compressed-ply": partial(compressed_ply_bytes, comments=comments),

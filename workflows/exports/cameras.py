@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from ...pipeline import CaptureError, counted, say
+from ...pipeline import counted, say
 from ...pipeline.files import write_atomically
 from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
-from .trained import Up, axes_line, is_file, open_trained, up_axis, writing
+from .trained import Up, axes_line, check_posed, is_file, open_trained, up_axis, writing
 
 USUAL_UP = "-Y"  # as of .ply files
 
@@ -34,14 +34,13 @@ def cameras(options: Options, out: Out = None, up: Up = None) -> None:
     axis, single = up_axis(up), is_file(out, (".json",))
     trained = open_trained(options)
     frames = trained.frames
-    folder = trained.folder(out, "cameras")
+    folder = trained.session.export_folder(out, "cameras")
     path = folder if single else folder / "transforms.json"
 
     from ...stages.exports.cameras import cameras_json, posed
     from ...stages.exports.splats import turn_of
 
-    if not len(frames.train):
-        raise CaptureError(f"{options.capture}: no training frame has a pose, so there are no cameras to write")
+    check_posed(options, frames, "are no cameras to write")
     turn = turn_of(frames, axis, USUAL_UP)
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)

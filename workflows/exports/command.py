@@ -11,7 +11,6 @@ from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, counted, say
 from ..machine.places import typed_output
-from ..machine.writable import writing_to
 from ..options import of_last_run
 from ..results import results
 from ..session import Options, open_session
@@ -87,11 +86,7 @@ def flow(
     found = results(session, "flow")
     artifact, frames = found["flow"], found["frames"]
     assert artifact is not None and frames is not None  # `results` guarantees the first, and no stage runs without the second
-    folder = out
-    if folder is None:
-        with writing_to(session.options.workspace.resolve()):
-            session.claim()
-        folder = session.scene.folder / "export" / "flow"
+    folder = session.export_folder(out, "flow")
 
     from ...stages.exports.flow import common_largest, export_flow
     from ...stages.flow.artifact import StoredFlow
@@ -174,7 +169,7 @@ def _splats(
         check_single(out, len(moments), ending)
     else:
         check_strangers(out, KINDS[kind])
-    target = trained.folder(out, kind)
+    target = trained.session.export_folder(out, kind)
     console = Console()
     with Progress(len(moments), "export", console) as bar, writing(target):
         done = export_splats(trained.model, trained.frames, target, moments, kind, single, axis, antialiased, bar.advance)

@@ -78,7 +78,7 @@ def mesh(
     if single and out is not None and ending == ".ply":
         check_single(out, times or 1, ".ply")
     trained = open_trained(options)
-    target = trained.folder(out, "mesh")
+    target = trained.session.export_folder(out, "mesh")
     if not single:
         check_strangers(out, ".ply")
     every = convexes and time is None and not (single and ending == ".ply")

@@ -11,12 +11,12 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, Progress, SettingsError, StageError, counted, say
+from ...pipeline import Progress, SettingsError, StageError, counted, say
 from ..machine.places import FOLDERS, NamedFolder, is_folder, typed_output, typed_path
 from ..options import of_last_run
 from ..session import Options
 from .film import Asked, Film
-from .trained import open_trained, writing
+from .trained import check_posed, open_trained, writing
 
 if TYPE_CHECKING:
     from ...scene.model import Model
@@ -56,8 +56,7 @@ def render(
     from ...vision.images.movie import Movie, even
     from ...vision.images.picture_folder import PictureFolder
 
-    if not len(trained.frames.train):
-        raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
+    check_posed(options, trained.frames)
     model = trained.model.to(trained.session.job.device)
     views, (width, height), film, notes = _planned(path, trained.frames, model, asked, time)
     console = Console()

@@ -45,7 +45,7 @@ def write_straight(kind: Straight, options: Options, out: Path | None, time: flo
     ending = ENDINGS[kind]
     axis, single = up_axis(up), is_file(out, (ending,))
     trained = open_trained(options)
-    folder = trained.folder(out, kind)
+    folder = trained.session.export_folder(out, kind)
     name = trained.session.scene.name
     path = folder if single else folder / (f"{name}.ftgs.ply" if kind == "freetime" else name + ending)
 

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...pipeline import SettingsError, StageError, say
+from ...pipeline import CaptureError, SettingsError, StageError, say
 from ...stages.facts import Facts
 from ..machine.places import FOLDERS, is_folder
-from ..machine.writable import writing_to
 from ..results import results, trained_stage
 from ..session import Options, Session, open_session
 
@@ -69,14 +68,6 @@ class Trained:
         wanted = f"--times {most} for {'all' if most == self.times else 'more'}"
         return (f"note: {number} of {self.times} times; {wanted}; what is visible only between them is left out",)
 
-    def folder(self, out: Path | None, kind: str) -> Path:
-        """``out``, or the scene's folder for exports of this ``kind``."""
-        if out is not None:
-            return out
-        with writing_to(self.session.options.workspace.resolve()):
-            self.session.claim()
-        return self.session.scene.folder / "export" / kind
-
 
 def open_trained(options: Options) -> Trained:
     """Finds the trained model. Raises CaptureError or ArtifactError if there is none with these options."""
@@ -90,6 +81,12 @@ def open_trained(options: Options) -> Trained:
     from ...stages.shared.model import read_model
 
     return Trained(session, read_model(artifact), FrameSet(frames, session.job.capture.root, found.get("poses")))
+
+
+def check_posed(options: Options, frames: FrameSet, lacking: str = "is no place to look from") -> None:
+    """Raises CaptureError if no training frame has a pose. lacking: what there then is not."""
+    if not len(frames.train):
+        raise CaptureError(f"{options.capture}: no training frame has a pose, so there {lacking}")
 
 
 def axes_line(turn: Turn, frames: FrameSet) -> str:

@@ -40,7 +40,7 @@ def usd(
     check_moment(time, times)
     axis, single = up_axis(up), is_file(out, ENDINGS)
     trained = open_trained(options)
-    folder = trained.folder(out, "usd")
+    folder = trained.session.export_folder(out, "usd")
     path = folder if single else folder / f"{trained.session.scene.name}.usdc"
 
     from ...stages.exports.usd import export_usd

@@ -9,13 +9,13 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, Progress, SettingsError, say
+from ...pipeline import Progress, SettingsError, say
 from ...pipeline.files import write_atomically
 from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
-from .trained import is_file, open_trained, writing
+from .trained import check_posed, is_file, open_trained, writing
 
 ENDINGS = (".html", ".htm")
 PAGE, DATA = "index.html", "scene.e4dw"
@@ -63,10 +63,9 @@ def web(options: Options, out: Out = None) -> None:
     """A page that plays the scene in any browser: any view, any time, from one file without a server."""
     single = is_file(out, ENDINGS) or out is None
     trained = open_trained(options)
-    if not len(trained.frames.train):
-        raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
+    check_posed(options, trained.frames)
     scene = trained.session.scene.name
-    target = trained.folder(out, "web")
+    target = trained.session.export_folder(out, "web")
     path = target / f"{scene}.html" if out is None else target if single else target / PAGE
 
     if not single and path.exists() and not (target / DATA).exists():

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...pipeline import CaptureError, say
+from ...pipeline import say
 from ...stages.facts import Facts
+from ..exports.trained import check_posed
 from ..options import of_last_run
 from ..session import Options, open_session
 from .address import addresses, listening, open_page, over_ssh
@@ -48,8 +49,7 @@ def view(
         if artifacts is None:
             raise source.missing()
         frames = FrameSet(artifacts[0], session.job.capture.root, artifacts[1])
-        if not len(frames.train):
-            raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
+        check_posed(options, frames)
         viewer: Viewer | PageServer
         if player:
             from .page_server import PageServer

@@ -16,7 +16,7 @@ from ....scene.formats.axes import Turn
 from ..bake import Loss, bake, loss_of, nothing_visible
 from ..capture_cameras import camera_of, distinct_views
 from ..plain import compensated
-from ..splats import turn_of
+from ..splats import comments_of, turn_of
 from ..web import pixel_width
 from .colors import fitting_colors
 from .pieces import halvings, pieces_of, still_pieces, turned_pieces
@@ -84,15 +84,16 @@ def export_straight(
     from ..camera_path import looked_at
 
     moves = times > 1 and moment is None
+    looked = MOMENTS if moves else (moment or 0.0,)
     turn, target = turn_of(frames, up, UP[kind]), np.asarray(looked_at(frames, model))
     baked = bake(model, frames, antialiased)
     advance(1)
     if moves:
         pieces = (pieces_of if kind == "4dgs" else soft_pieces)(baked, times, pixel_width(frames, target))
     else:
-        pieces = still_pieces(baked, moment or 0.0)
+        pieces = still_pieces(baked, looked[0])
     if not len(pieces):
-        raise nothing_visible("4dgs" if kind == "4dgs" else "ply --freetime", range(times) if moves else [moment or 0.0])
+        raise nothing_visible("4dgs" if kind == "4dgs" else "ply --freetime", range(times) if moves else looked)
     if kind == "4dgs":
         pieces = fitting_colors(pieces, eyes_of(frames))
     advance(1)
@@ -100,10 +101,10 @@ def export_straight(
     data = written(turned_pieces(pieces, turn), frames, clock, Look(kind, target, turn, antialiased, out.stem, times if moves else 1))
     write_atomically(out, data)
     advance(1)
-    psnr = compared(baked, frames, decoder(kind, data, clock, turn), MOMENTS if moves else (moment or 0.0,))
+    psnr = compared(baked, frames, decoder(kind, data, clock, turn), looked)
     advance(1)
     count = len(model.gaussians) + len(model.convexes)
-    loss = loss_of(baked, frames, *(MOMENTS if moves else (moment or 0.0,)))
+    loss = loss_of(baked, frames, *looked)
     levels, wanted = halvings(baked, times) if moves else (0, 0)
     shortest = clock.span / (1 << levels) if levels < wanted else 0.0
     return ExportedStraight(count, len(pieces), psnr, loss, turn, len(data), clock.seconds if moves else 0.0, shortest)
@@ -129,8 +130,7 @@ def written(pieces: Pieces, frames: FrameSet, clock: Clock, look: Look) -> bytes
         return container_bytes(pieces, clock, look.turn, view_of(frames, look.target, look.turn), look.title)
     from ....scene.formats.freetime import freetime_bytes
 
-    comments = (f"SplatRenderMode: {'mip' if look.antialiased else 'default'}", f"up: {look.turn.after}")
-    return freetime_bytes(pieces, look.times, comments)
+    return freetime_bytes(pieces, look.times, comments_of(look.turn, look.antialiased))
 
 
 def decoder(kind: Straight, data: bytes, clock: Clock, turn: Turn) -> Callable[[float], Gaussians]:
