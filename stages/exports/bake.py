@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from ...pipeline import SettingsError, StageError, counted
 from ...pipeline.choice.evenly import evenly
+from ...rasterizer import Frame, Gaussians, rasterize
+from ...scene.convex_gaussians import GaussianFit
+from ...scene.formats.ply import joined
+from ...scene.model import Model
+from ..shared.frameset import FrameSet
 from .capture_cameras import camera_of, distinct_views
 from .plain import PlainLook, compensated
-
-if TYPE_CHECKING:
-    from ...rasterizer import Frame, Gaussians
-    from ...scene.convex_gaussians import GaussianFit
-    from ...scene.model import Model
-    from ..shared.frameset import FrameSet
 
 SPREADS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # standard deviations of a Gaussian over those of its convex's points; the fit begins at the best
 LOOKS = 4  # views by which candidates are judged
@@ -38,10 +37,6 @@ class Baked:
 
     def at(self, t: float) -> Gaussians:
         """The Gaussians, with SH, at time ``t`` in [0, 1], detached. Their number and order are the same at all times."""
-        import torch
-
-        from ...scene.formats.ply import joined
-
         with torch.no_grad():
             gaussians, convexes = self.model.at(t)
             return joined(self.plain(gaussians), self.fit.gaussians(convexes))
@@ -84,8 +79,6 @@ def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:
     antialiased: for programs that compensate opacity (`compensated`); the model's own Gaussians stay as they were trained. Otherwise for
     those in the default mode, and the Gaussians of an antialiased model are adjusted (`PlainLook`). Raises SettingsError if ``antialiased``
     is asked of a model that was trained in the default mode."""
-    from ...scene.convex_gaussians import GaussianFit
-
     if antialiased and not model.antialiased:
         raise SettingsError(
             "--antialiased: this model was trained in the default mode (coarse.antialiased=false), so its Gaussians are not for such "
@@ -104,10 +97,6 @@ def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:
 def _fitted(baked: Baked, frames: FrameSet) -> GaussianFit:
     """The fit of ``baked`` after gradient descent on the squared difference of colour and alpha. The full model provides the ground truth
     from any camera at any time."""
-    import torch
-
-    from ...scene.formats.ply import joined
-
     model, start = baked.model, baked.fit
     learned = {name: getattr(start, name).clone().requires_grad_() for name in ("log_spread", "offset", "opacity")}
     optimiser = torch.optim.Adam(list(learned.values()), lr=RATE)
@@ -148,8 +137,6 @@ def _error(baked: Baked, frames: FrameSet, chosen: np.ndarray) -> float:
 
 def _squared_error(baked: Baked, frames: FrameSet, i: int, t: float) -> float:
     """Mean squared difference in [0, 1] between renders of ``baked`` and of its model from the camera of frame ``i`` at time ``t``."""
-    import torch
-
     with torch.no_grad():
         colors = [_render(baked, shown, frames, i, t).color.clamp(0, 1) for shown in (baked.at(t), None)]
     return float((colors[0] - colors[1]).square().mean())
@@ -158,10 +145,6 @@ def _squared_error(baked: Baked, frames: FrameSet, i: int, t: float) -> float:
 def _render(baked: Baked, gaussians: Gaussians | None, frames: FrameSet, i: int, t: float) -> Frame:
     """Renders ``gaussians`` as the programs do that ``baked`` is for, or if None the full model at time ``t``, from the camera of frame
     ``i`` on the model's background."""
-    import torch
-
-    from ...rasterizer import rasterize
-
     model = baked.model
     camera, background = camera_of(model, frames, i), torch.tensor(model.background)
     if gaussians is not None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...scene.formats.axes import OPENGL, Turn
-
-if TYPE_CHECKING:
-    from ...scene.formats.usd.cameras import PosedCamera
-    from ..shared.frameset import FrameSet
+from ...scene.formats.usd.cameras import PosedCamera
+from ..shared.frameset import FrameSet
 
 
 def posed(frames: FrameSet) -> np.ndarray:
@@ -44,8 +42,6 @@ def cameras_json(frames: FrameSet, turn: Turn) -> bytes:
 
 def posed_cameras(frames: FrameSet, near: float) -> list[PosedCamera]:
     """Each camera of the capture with its posed frames in order of time. near: depth at which the scene begins, world units."""
-    from ...scene.formats.usd.cameras import PosedCamera
-
     assert frames.cam_from_world is not None and frames.K is not None
     found, own = [], posed(frames)
     for camera in np.unique(frames.camera[own]):

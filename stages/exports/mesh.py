@@ -4,20 +4,22 @@ by Open3D (TSDF, Curless and Levoy 1996)."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from ...pipeline import StageError
 from ...pipeline.choice.evenly import evenly
+from ...rasterizer import rasterize
+from ...scene.hull_mesh import hull_mesh
+from ...scene.losses.depth_spread import with_depth
+from ...scene.mesh import Mesh
+from ...scene.model import Model
 from ...vision.clouds import load_open3d
+from ..shared.frameset import FrameSet
 from .bake import MOMENTS
 from .capture_cameras import camera_of, distinct_views
-
-if TYPE_CHECKING:
-    from ...scene.mesh import Mesh
-    from ...scene.model import Model
-    from ..shared.frameset import FrameSet
 
 CAMERAS, LOOKS = 150, 12  # most cameras that are fused, and most cameras from which the size of the scene is estimated
 SOLID = 0.6  # alpha; pixels with less are not fused
@@ -51,11 +53,6 @@ class Size(NamedTuple):
 
 def look(model: Model, frames: FrameSet, i: int, t: float) -> Look:
     """Renders ``model`` at time ``t`` from the camera of frame ``i``. Only solid pixels that show a single surface get a depth."""
-    import torch
-
-    from ...rasterizer import rasterize
-    from ...scene.losses.depth_spread import with_depth
-
     camera = camera_of(model, frames, i)
     with torch.no_grad():
         frame = rasterize(camera, *with_depth(camera, *model.at(t), unit=1.0), torch.zeros(3), antialiased=model.antialiased)
@@ -107,8 +104,6 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
 
     Raises NoSurface if nothing is solid, StageError if Open3D is not available or voxels of that size do not fit in memory.
     """
-    from ...scene.mesh import Mesh
-
     open3d = load_open3d("export mesh")
     core, geometry = open3d.core, open3d.t.geometry
     channels = [core.SizeVector([n]) for n in (1, 1, 3)]
@@ -155,8 +150,6 @@ def fuse_all(
 ) -> Iterator[Mesh]:
     """The mesh at each of ``moments``, as `fuse` has it. It has no triangles where there is no surface, except if there is one at none of
     them: then NoSurface is raised for the last."""
-    from ...scene.mesh import Mesh
-
     lacking = 0
     for t in moments:
         try:
@@ -176,10 +169,6 @@ def fused_views(frames: FrameSet) -> np.ndarray:
 
 def hulls(model: Model, t: float, advance: Callable[[int], None] = lambda n: None) -> Mesh:
     """The hulls of the convexes of ``model`` at time ``t``. Triangles differ between times, since a corner may move inside the hull."""
-    import torch
-
-    from ...scene.hull_mesh import hull_mesh
-
     with torch.no_grad():
         _, convexes = model.at(t)
     advance(1)

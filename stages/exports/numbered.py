@@ -12,8 +12,10 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+SplatFormat = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]
+KINDS: dict[SplatFormat, str] = {"ply": ".ply", "compressed-ply": ".compressed.ply", "spz": ".spz", "sog": ".sog", "gltf": ".glb"}
 INDEX = "sequence.json"
 MOST_INDEX = 1 << 24  # bytes
 PART = ".export-"  # begins the name of the folder that holds files until all are written

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
+import torch
+from torch import Tensor
+
+from ...rasterizer import Camera, Gaussians
+from ...rasterizer.reference.gaussians import DILATION, PIXEL_VARIANCE
+from ...scene.model import Model
+from ...scene.training.control.hidden import footprint
+from ...scene.views import inside_image
+from ..shared.frameset import FrameSet
 from .capture_cameras import camera_of, distinct_views
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from ...rasterizer import Camera, Gaussians
-    from ...scene.model import Model
-    from ..shared.frameset import FrameSet
 
 VIEWS = 24  # training views over which the adjustment is averaged
 LEAST_SCALE = 0.5  # of its own, to which a standard deviation may shrink: what is smaller than a pixel cannot lose all its extent
@@ -29,19 +30,11 @@ class PlainLook:
 
     @classmethod
     def unchanged(cls, count: int) -> PlainLook:
-        import torch
-
         return cls(torch.ones(count), torch.zeros(count))
 
     @classmethod
     def of(cls, model: Model, frames: FrameSet) -> PlainLook:
         """Averages over some training views; unchanged if ``model`` is not antialiased."""
-        import torch
-
-        from ...rasterizer.reference.gaussians import DILATION, PIXEL_VARIANCE
-        from ...scene.training.control.hidden import footprint
-        from ...scene.views import inside_image
-
         found = cls.unchanged(len(model.gaussians))
         if not model.antialiased:
             return found
@@ -74,8 +67,6 @@ class PlainLook:
 def compensated(camera: Camera, gaussians: Gaussians) -> Gaussians:
     """``gaussians`` with opacities with which the default mode draws them before ``camera`` as antialiased viewers do: these add 0.3 px^2
     to the projected covariance S, too, and lower opacity by sqrt(det S / det(S + 0.3 I)) (gsplat's rasterize_mode "antialiased", Spark)."""
-    from ...scene.training.control.hidden import footprint
-
     share = footprint(camera, gaussians, dilation=0.0) / footprint(camera, gaussians).clamp(min=1e-12)
     return replace(gaussians, opacities=gaussians.opacities * share)
 

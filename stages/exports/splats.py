@@ -6,23 +6,25 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from PIL import features
 
 from ...pipeline import SettingsError, StageError
 from ...pipeline.files import write_atomically
+from ...rasterizer import Gaussians
+from ...scene.camera_paths import upward
 from ...scene.formats.axes import Turn, nearest_axis
+from ...scene.formats.compressed_ply import compressed_ply_bytes
+from ...scene.formats.gltf import glb_bytes
+from ...scene.formats.ply import ply_bytes
+from ...scene.formats.sog import sog_bytes
+from ...scene.formats.spz import cut_by_spz, spz_bytes
+from ...scene.model import Model
+from ..shared.frameset import FrameSet
 from .bake import Loss, bake, loss_of, nothing_visible
-from .numbered import new_sequence, numbered, write_index
+from .numbered import KINDS, SplatFormat, new_sequence, numbered, write_index
 
-if TYPE_CHECKING:
-    from ...rasterizer import Gaussians
-    from ...scene.model import Model
-    from ..shared.frameset import FrameSet
-
-SplatFormat = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]
-KINDS: dict[SplatFormat, str] = {"ply": ".ply", "compressed-ply": ".compressed.ply", "spz": ".spz", "sog": ".sog", "gltf": ".glb"}
 # SPZ's axes are right, up, back; glTF says +Y is up. The others are written right, down, front by 3DGS and whoever followed it.
 UP: dict[SplatFormat, str] = {"ply": "-Y", "compressed-ply": "-Y", "spz": "Y", "sog": "-Y", "gltf": "Y"}
 
@@ -59,8 +61,6 @@ def export_splats(
     does; StageError if nothing is visible or ``kind`` cannot hold a position; OSError if a file cannot be written."""
     if single and len(moments) != 1:
         raise ValueError(f"one file holds one time, not {len(moments)}")
-    from ...scene.formats.spz import cut_by_spz
-
     turn = turn_of(frames, up, UP[kind])
     encode = encoder(kind, turn, antialiased)
     baked = bake(model, frames, antialiased)
@@ -102,8 +102,6 @@ def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:
     """From the axes of the capture, whose up direction is the mean one of its training cameras, to those of a file with ``up`` (`AXES`, or
     "capture" for none) or else ``usual`` pointing up. Axes that the capture's files give stand upright, so the nearest one is up. Those of
     our own structure from motion are one camera's, however it was held, so there the direction itself is brought upright."""
-    from ...scene.camera_paths import upward
-
     assert frames.cam_from_world is not None
     direction = upward(frames.cam_from_world[frames.train])
     axis = nearest_axis(direction)
@@ -123,14 +121,6 @@ def encoder(kind: SplatFormat, turn: Turn | None = None, antialiased: bool = Fal
     turn: from their axes to those of the file; none is turned without it. In a .glb file the node turns, and the Gaussians stay as they
     are. antialiased: say in the file, where the format can, that they are meant for renderers that compensate opacity.
     Raises SettingsError if Pillow cannot write the images of a .sog file."""
-    from PIL import features
-
-    from ...scene.formats.compressed_ply import compressed_ply_bytes
-    from ...scene.formats.gltf import glb_bytes
-    from ...scene.formats.ply import ply_bytes
-    from ...scene.formats.sog import sog_bytes
-    from ...scene.formats.spz import spz_bytes
-
     if kind == "sog" and not features.check("webp"):
         raise SettingsError(
             "export sog needs Pillow with WebP, which its wheels have: pip install --force-reinstall --only-binary :all: pillow"

@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...pipeline import SettingsError
+from ...rasterizer import Gaussians
+from ...scene.camera_paths import upward
 from ...scene.formats.axes import Turn
+from ...scene.formats.usd.splats import stage_turn, write_usd
+from ...scene.model import Model
+from ..shared.frameset import FrameSet
 from .bake import Loss, bake, loss_of, nothing_visible
 from .cameras import posed_cameras
-
-if TYPE_CHECKING:
-    from ...rasterizer import Gaussians
-    from ...scene.model import Model
-    from ..shared.frameset import FrameSet
 
 USUAL_RATE = 24.0  # time codes per second for a capture without times in seconds
 
@@ -55,9 +54,6 @@ def export_usd(
         UsdVol.ParticleField3DGaussianSplat  # noqa: B018 - versions before 26.3 have no Gaussians
     except (ImportError, AttributeError) as error:
         raise SettingsError("export usd needs the package usd-core, 26.3 or later; install it with: pip install 'e4dgs[usd]'") from error
-    from ...scene.camera_paths import upward
-    from ...scene.formats.usd.splats import stage_turn, write_usd
-
     assert frames.cam_from_world is not None
     try:
         turn = stage_turn(upward(frames.cam_from_world[frames.train]), up, frames.solved)

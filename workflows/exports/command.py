@@ -37,7 +37,7 @@ from .usd import usd
 from .web import web
 
 if TYPE_CHECKING:
-    from ...stages.exports.splats import SplatFormat
+    from ...stages.exports.numbered import SplatFormat
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
@@ -158,12 +158,15 @@ def _splats(
     kind: SplatFormat, options: Options, out: Path | None, times: int | None, time: float | None, up: str | None, antialiased: bool
 ) -> None:
     """Writes the Gaussians of each time as files of ``kind``, and prints their axes and how far they are from the model."""
-    from ...stages.exports.splats import KINDS, export_splats
+    from ...stages.exports.numbered import KINDS
 
     ending = "." + KINDS[kind].rpartition(".")[2]  # of .compressed.ply, too
     check_moment(time, times)
     axis, single = up_axis(up), is_file(out, (ending,))
     trained = open_trained(options)
+
+    from ...stages.exports.splats import export_splats
+
     moments = trained.chosen(times, time)
     if single and out is not None:
         check_single(out, len(moments), ending)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from torch import Tensor
+import torch
+from torch import Tensor
 
-    from ....scene.formats.pieces import Pieces
+from ....rasterizer.reference.sh import sh_basis
+from ....scene.formats.pieces import Pieces
+from ....scene.primitives import SH_C0
 
 DEGREE = 2  # of SH, at least, where a colour is beyond; a third degree costs more by its rounding than it gains
 BEYOND = 0.5 / 255  # of [0, 1], from which a colour is told otherwise
@@ -23,10 +24,6 @@ def fitting_colors(pieces: Pieces, eyes: Tensor) -> Pieces:
     are constant over the directions of ``eyes`` alone take it over (least squares). From other sides, or with cameras on all sides, it is
     lost, as it was in the file before.
     """
-    import torch
-
-    from ....scene.primitives import SH_C0
-
     look = pieces.gaussians
     assert look.sh is not None
     colors = 0.5 + SH_C0 * look.sh[:, 0].double()
@@ -44,10 +41,6 @@ def fitting_colors(pieces: Pieces, eyes: Tensor) -> Pieces:
 
 def constant_bands(means: Tensor, eyes: Tensor, bands: int) -> Tensor:
     """[n, bands - 1] coefficients of SH without the first that give about 1 in the directions from ``eyes`` [V, 3] to ``means`` [n, 3]."""
-    import torch
-
-    from ....rasterizer.reference.sh import sh_basis
-
     directions = torch.nn.functional.normalize(means.double()[:, None] - eyes.double(), dim=2)
     basis = sh_basis(directions.reshape(-1, 3), bands).reshape(len(means), len(eyes), bands)[..., 1:]
     square = basis.transpose(1, 2) @ basis / len(eyes) + RIDGE * torch.eye(bands - 1).double()

@@ -6,14 +6,23 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from ....pipeline import SettingsError, counted
 from ....pipeline.files import write_atomically
+from ....rasterizer import Gaussians, rasterize
 from ....scene.formats.axes import Turn
-from ..bake import Loss, bake, loss_of, nothing_visible
+from ....scene.formats.freetime import freetime_bytes, read_freetime
+from ....scene.formats.gaussian_birth import Clock, View, container_bytes, read_container
+from ....scene.formats.pieces import Pieces
+from ....scene.model import Model
+from ...shared.frameset import FrameSet
+from ..bake import Baked, Loss, bake, loss_of, nothing_visible
+from ..camera_path import looked_at
 from ..capture_cameras import camera_of, distinct_views
 from ..plain import compensated
 from ..splats import comments_of, turn_of
@@ -21,16 +30,6 @@ from ..web import pixel_width
 from .colors import fitting_colors
 from .pieces import halvings, pieces_of, still_pieces, turned_pieces
 from .soft import soft_pieces
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from ....rasterizer import Gaussians
-    from ....scene.formats.gaussian_birth import Clock, View
-    from ....scene.formats.pieces import Pieces
-    from ....scene.model import Model
-    from ...shared.frameset import FrameSet
-    from ..bake import Baked
 
 Straight = Literal["4dgs", "freetime"]
 UP: dict[Straight, str] = {"4dgs": "Y", "freetime": "-Y"}
@@ -81,8 +80,6 @@ def export_straight(
             import fourdgs  # noqa: F401 - checked before the work begins
         except ImportError as error:
             raise SettingsError("export 4dgs needs the package fourdgs; install it with: pip install 'e4dgs[fourdgs]'") from error
-    from ..camera_path import looked_at
-
     moves = times > 1 and moment is None
     looked = MOMENTS if moves else (moment or 0.0,)
     turn, target = turn_of(frames, up, UP[kind]), np.asarray(looked_at(frames, model))
@@ -125,19 +122,12 @@ class Look:
 def written(pieces: Pieces, frames: FrameSet, clock: Clock, look: Look) -> bytes:
     """The file with ``pieces``, which are in its axes."""
     if look.kind == "4dgs":
-        from ....scene.formats.gaussian_birth import container_bytes
-
         return container_bytes(pieces, clock, look.turn, view_of(frames, look.target, look.turn), look.title)
-    from ....scene.formats.freetime import freetime_bytes
-
     return freetime_bytes(pieces, look.times, comments_of(look.turn, look.antialiased))
 
 
 def decoder(kind: Straight, data: bytes, clock: Clock, turn: Turn) -> Callable[[float], Gaussians]:
     """What a reader makes of the file at a time in [0, 1], in the axes of the capture."""
-    from ....scene.formats.freetime import read_freetime
-    from ....scene.formats.gaussian_birth import read_container
-
     if kind == "freetime":
         pieces = read_freetime(data)
         return lambda t: turn.back(pieces.at(t))
@@ -147,16 +137,12 @@ def decoder(kind: Straight, data: bytes, clock: Clock, turn: Turn) -> Callable[[
 
 def clock_of(frames: FrameSet, times: int) -> Clock:
     """Every time of the capture lasts equally long, the last one, too."""
-    from ....scene.formats.gaussian_birth import Clock
-
     span = float(np.ptp(frames.seconds)) or max(times - 1, 1) / USUAL_RATE
     return Clock(span, span * times / (times - 1)) if times > 1 else Clock(1.0, 1.0)
 
 
 def view_of(frames: FrameSet, target: np.ndarray, turn: Turn) -> View:
     """The first camera of the capture, in the axes of a file."""
-    from ....scene.formats.gaussian_birth import View
-
     assert frames.K is not None and frames.cam_from_world is not None
     first = int(frames.train[0]) if len(frames.train) else 0
     pose, K = frames.cam_from_world[first], frames.K[first]
@@ -167,8 +153,6 @@ def view_of(frames: FrameSet, target: np.ndarray, turn: Turn) -> View:
 
 def eyes_of(frames: FrameSet) -> Tensor:
     """[V, 3] places of at most `EYES` cameras of the capture."""
-    import torch
-
     assert frames.cam_from_world is not None
     poses = torch.as_tensor(frames.cam_from_world[distinct_views(frames, frames.train, EYES)]).double()
     return -(poses[:, :3, :3].transpose(1, 2) @ poses[:, :3, 3:])[..., 0]
@@ -176,10 +160,6 @@ def eyes_of(frames: FrameSet) -> Tensor:
 
 def compared(baked: Baked, frames: FrameSet, decoded: Callable[[float], Gaussians], moments: tuple[float, ...]) -> float:
     """PSNR, dB, of renders of ``decoded`` against renders of ``baked`` in the mode that these are for, each moment from another camera."""
-    import torch
-
-    from ....rasterizer import rasterize
-
     chosen = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), len(moments))
     background, error = torch.tensor(baked.model.background), []
     for k, t in enumerate(moments):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from torch import Tensor
+import torch
+from torch import Tensor
 
-    from ..bake import Baked
+from ....scene.motion.lifetimes.lifetime import lifetime
+from ..bake import Baked
 
 
 def moves(baked: Baked) -> bool:
@@ -17,10 +18,6 @@ def moves(baked: Baked) -> bool:
 def fades(baked: Baked) -> tuple[Tensor, Tensor, Tensor] | None:
     """Middles and standard deviations, in units of the capture's time, of the lives of all Gaussians of ``baked``, and the opacities that
     they have at most, [n] each; those that do not move are present throughout. None if the model has no lives."""
-    import torch
-
-    from ....scene.motion.lifetimes.lifetime import lifetime
-
     model = baked.model
     if model.motion.played_as != "lives":
         return None

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
+import torch
+from torch import Tensor
+
+from ....rasterizer import Gaussians
+from ....scene.formats.axes import Turn
+from ....scene.formats.pieces import LEAST_ALPHA, Pieces
+from ....scene.formats.ply import seen
+from ....scene.rotation import quats_to_matrices
+from ..bake import Baked
 from .lives import fades, moves
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from ....scene.formats.axes import Turn
-    from ....scene.formats.pieces import Pieces
-    from ..bake import Baked
 
 PATH, SHAPE = 0.25, 0.5  # px of the capture by which a piece may be off its Gaussian: its mean, its extent
 OPACITY, COLOR = 0.015, 0.04  # likewise; the second in SH coefficients
@@ -39,8 +40,6 @@ class Samples:
     @classmethod
     def of(cls, baked: Baked, times: int) -> Samples:
         """Two pieces at least for each interval between two times of the capture can be told apart, if memory allows."""
-        import torch
-
         count, (levels, _) = len(baked.model.gaussians) + len(baked.model.convexes), halvings(baked, times)
         found = [baked.at(k / (2 << levels)) for k in range((2 << levels) + 1)]
         names = "means", "quats", "scales", "opacities"
@@ -70,11 +69,6 @@ def halvings(baked: Baked, times: int) -> tuple[int, int]:
 def pieces_of(baked: Baked, times: int, pixel: float) -> Pieces:
     """``baked`` as `Pieces` that follow it within `PATH` and the others. times: of the capture. pixel: its width where the scene is, world
     units. What is too faint to be drawn is left out."""
-    import torch
-
-    from ....rasterizer import Gaussians
-    from ....scene.formats.pieces import Pieces
-
     samples = Samples.of(baked, times)
     index, start, end = intervals(samples, pixel)
     last, middle = samples.last, (start + end) // 2
@@ -93,11 +87,6 @@ def pieces_of(baked: Baked, times: int, pixel: float) -> Pieces:
 
 def still_pieces(baked: Baked, t: float) -> Pieces:
     """``baked`` at ``t`` alone, present throughout."""
-    import torch
-
-    from ....scene.formats.pieces import Pieces
-    from ....scene.formats.ply import seen
-
     shown = seen(baked.at(t))
     always = torch.full((len(shown.means),), torch.inf).double()
     none = torch.zeros(len(always)).double()
@@ -106,10 +95,6 @@ def still_pieces(baked: Baked, t: float) -> Pieces:
 
 def intervals(samples: Samples, pixel: float) -> tuple[Tensor, Tensor, Tensor]:
     """Gaussian, first and last sample [m] of each piece. The clip is halved for a Gaussian until each part of it is straight enough."""
-    import torch
-
-    from ....scene.formats.pieces import LEAST_ALPHA
-
     found = []
     waiting = [(0, samples.last, torch.arange(samples.means.shape[1]))]
     while waiting:
@@ -134,8 +119,6 @@ def looked_at(start: int, end: int) -> list[int]:
 
 def brightest(samples: Samples, start: int, end: int, index: Tensor) -> Tensor:
     """The largest opacity of each of ``index`` in this interval."""
-    import torch
-
     opacity = torch.stack([samples.opacities[k, index] for k in looked_at(start, end)]).amax(0)
     middle, spread = samples.middles[index], samples.spreads[index]
     nearest = middle.clamp(start / samples.last, end / samples.last)
@@ -144,8 +127,6 @@ def brightest(samples: Samples, start: int, end: int, index: Tensor) -> Tensor:
 
 def straight(samples: Samples, start: int, end: int, index: Tensor, pixel: float) -> Tensor:
     """Whether one piece follows each of ``index`` closely enough from one sample to the other: [m] bool."""
-    import torch
-
     middle = (start + end) // 2
     first, way = samples.means[start, index], samples.means[end, index] - samples.means[start, index]
     usual, size = spread_of(samples, middle, index), samples.scales[middle, index].amax(1).clamp(min=1e-12)
@@ -161,15 +142,11 @@ def straight(samples: Samples, start: int, end: int, index: Tensor, pixel: float
 
 def spread_of(samples: Samples, k: int, index: Tensor) -> Tensor:
     """[m, 3, 3] covariances at sample ``k``."""
-    from ....scene.rotation import quats_to_matrices
-
     wide = quats_to_matrices(samples.quats[k, index]) * samples.scales[k, index][:, None]
     return wide @ wide.transpose(1, 2)
 
 
 def turned_pieces(pieces: Pieces, turn: Turn) -> Pieces:
     """``pieces`` in the axes of a file."""
-    import torch
-
     matrix = torch.as_tensor(turn.matrix).to(pieces.velocities)
     return replace(pieces, gaussians=turn(pieces.gaussians), velocities=pieces.velocities @ matrix.T)

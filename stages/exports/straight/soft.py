@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import torch
+from torch import Tensor
 
+from ....rasterizer import Gaussians
+from ....scene.formats.pieces import LEAST_ALPHA, Pieces
+from ..bake import Baked
 from .pieces import Samples, intervals
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from ....scene.formats.pieces import Pieces
-    from ..bake import Baked
 
 SOFT = 0.6  # spread of a piece's opacity, in distances between pieces: less would flicker, more would blur
 BEFORE = 2  # pieces before the first and after the last moment, which fade into the clip
@@ -21,11 +18,6 @@ BEFORE = 2  # pieces before the first and after the last moment, which fade into
 def soft_pieces(baked: Baked, times: int, pixel: float) -> Pieces:
     """Like `pieces_of`, without windows. A Gaussian that one straight piece follows stays one. Another becomes evenly spaced pieces, half
     as long as the shortest that `pieces_of` makes of it, that overlap and together have its opacity nearly always."""
-    import torch
-
-    from ....rasterizer import Gaussians
-    from ....scene.formats.pieces import LEAST_ALPHA, Pieces
-
     samples = Samples.of(baked, times)
     last, (index, start, end) = samples.last, intervals(samples, pixel)
     shortest = torch.full((samples.means.shape[1],), 2 * last)
@@ -61,8 +53,6 @@ def soft_pieces(baked: Baked, times: int, pixel: float) -> Pieces:
 def knots_of(index: Tensor, length: int, last: int) -> tuple[Tensor, Tensor, Tensor]:
     """Gaussian, middle and distance [m] of the pieces of ``index``, whose shortest straight part has ``length`` samples; one piece with
     an infinite distance if that is the whole clip."""
-    import torch
-
     if length >= last:
         return index, torch.full((len(index),), 0.5).double(), torch.full((len(index),), torch.inf).double()
     apart = max(length // 2, 1) / last
@@ -73,8 +63,6 @@ def knots_of(index: Tensor, length: int, last: int) -> tuple[Tensor, Tensor, Ten
 def shares(whole: Tensor) -> tuple[Tensor, Tensor]:
     """Opacity, and factor on standard deviations, [m] each, of every one of many pieces that overlap, which together look like a Gaussian
     of opacity ``whole`` [m]. What blends saturates, so the pieces are fainter than a share of it and a little smaller."""
-    import torch
-
     out, weight = np.linspace(0, 3.5, 30), np.linspace(0, 1, 30)  # standard deviations from the middle; pixels at such a distance
     seen = np.exp(-0.5 * ((np.linspace(0, 0.5, 5)[:, None] - np.arange(-4, 5)) / SOFT) ** 2)
     wanted, alone, smaller = np.linspace(0.02, 1, 25), np.linspace(0.005, 1, 60), np.linspace(0.86, 1, 15)
