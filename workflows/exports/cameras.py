@@ -5,22 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ...pipeline import counted, say
 from ...pipeline.files import write_atomically
-from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
-from .trained import Up, axes_line, check_posed, is_file, open_trained, up_axis, writing
+from .trained import Up, axes_line, check_posed, is_file, open_trained, out_option, up_axis, writing
 
 USUAL_UP = "-Y"  # as of .ply files
 
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", parser=typed_output, metavar="FILE.json|DIR", help="Output; by default scenes/<name>/export/cameras."),
-]
+Out = Annotated[Path | None, out_option("FILE.json|DIR", "Output; by default scenes/<name>/export/cameras.")]
 
 
 @of_last_run("coarse")

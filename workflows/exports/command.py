@@ -10,7 +10,6 @@ import typer
 from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, counted, say
-from ..machine.places import typed_output
 from ..options import of_last_run
 from ..results import results
 from ..session import Options, open_session
@@ -19,7 +18,6 @@ from .meaning import without
 from .mesh import mesh
 from .straight import container, write_straight
 from .trained import (
-    MOST_ASKED,
     Antialiased,
     Moment,
     Up,
@@ -30,6 +28,8 @@ from .trained import (
     check_strangers,
     is_file,
     open_trained,
+    out_option,
+    times_option,
     up_axis,
     writing,
 )
@@ -41,25 +41,14 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", parser=typed_output, metavar="DIR", help="Output folder; by default scenes/<name>/export/flow in the workspace."),
-]
+Out = Annotated[Path | None, out_option("DIR", "Output folder; by default scenes/<name>/export/flow in the workspace.")]
 Largest = Annotated[
     float | None, typer.Option("--largest", metavar="PX", help="Motion that gets full colour; by default chosen for the flow.")
 ]
 
-Times = Annotated[
-    int | None, typer.Option("--times", min=1, max=MOST_ASKED, help="Number of files; by default one for each time, at most 60.")
-]
+Times = Annotated[int | None, times_option("Number of files; by default one for each time, at most 60.")]
 Target = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        parser=typed_output,
-        metavar="FILE|DIR",
-        help="A folder, or a file for one time; by default scenes/<name>/export/ in the workspace.",
-    ),
+    Path | None, out_option("FILE|DIR", "A folder, or a file for one time; by default scenes/<name>/export/ in the workspace.")
 ]
 
 

@@ -12,12 +12,10 @@ from rich.console import Console
 
 from ...pipeline import Progress, SettingsError, StageError, counted, say
 from ...pipeline.files import write_atomically
-from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
 from .trained import (
-    MOST_ASKED,
     Moment,
     Trained,
     Up,
@@ -27,6 +25,8 @@ from .trained import (
     check_strangers,
     is_file,
     open_trained,
+    out_option,
+    times_option,
     up_axis,
     writing,
 )
@@ -40,16 +40,8 @@ MARGIN = 2000  # bytes of a .glb file for each time beside its arrays: its JSON 
 USUAL_RATE = 24.0  # times per second for a capture without seconds
 UP = {".glb": "Y", ".ply": "Z"}  # glTF says +Y is up; Blender and CloudCompare take +Z for up in a .ply file
 
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", parser=typed_output, metavar="FILE.glb|FILE.ply|DIR", help="Output; by default scenes/<name>/export/mesh."),
-]
-Times = Annotated[
-    int | None,
-    typer.Option(
-        "--times", min=1, max=MOST_ASKED, help="Number of times, first to last; by default the middle one, for --convexes all, at most 60."
-    ),
-]
+Out = Annotated[Path | None, out_option("FILE.glb|FILE.ply|DIR", "Output; by default scenes/<name>/export/mesh.")]
+Times = Annotated[int | None, times_option("Number of times, first to last; by default the middle one, for --convexes all, at most 60.")]
 Hulls = Annotated[bool, typer.Option("--convexes", help="Only the hulls of the model's convexes.")]
 Voxel = Annotated[
     float | None, typer.Option("--voxel", metavar="SIZE", help="Width of a voxel in world units; by default what the pixels resolve.")

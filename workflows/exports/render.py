@@ -12,11 +12,11 @@ import typer
 from rich.console import Console
 
 from ...pipeline import Progress, SettingsError, StageError, counted, say
-from ..machine.places import FOLDERS, NamedFolder, is_folder, typed_output, typed_path
+from ..machine.places import FOLDERS, NamedFolder, is_folder, typed_path
 from ..options import of_last_run
 from ..session import Options
 from .film import Asked, Film
-from .trained import check_posed, open_trained, writing
+from .trained import check_posed, open_trained, out_option, writing
 
 if TYPE_CHECKING:
     from ...scene.model import Model
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @of_last_run("coarse")
 def render(
     options: Options,
-    out: Annotated[Path, typer.Option("--out", parser=typed_output, metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
+    out: Annotated[Path, out_option("FILE.mp4|DIR", "A video, or a folder for PNG files.")],
     path: Annotated[str, typer.Option("--path", metavar="NAME|FILE.json", help="turntable, spiral, capture, or a file.")] = "spiral",
     frames: Annotated[int | None, typer.Option("--frames", min=1, max=100_000, help="Number of pictures.")] = None,
     seconds: Annotated[

@@ -5,25 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from rich.console import Console
 
 from ...pipeline import Progress, say
-from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
-from .trained import Antialiased, Moment, Up, axes_line, check_moment, is_file, open_trained, up_axis, writing
+from .trained import Antialiased, Moment, Up, axes_line, check_moment, is_file, open_trained, out_option, up_axis, writing
 
 if TYPE_CHECKING:
     from ...stages.exports.straight.export import Straight
 
 ENDINGS: dict[Straight, str] = {"4dgs": ".4dgs", "freetime": ".ply"}
 
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", parser=typed_output, metavar="FILE.4dgs|DIR", help="Output; by default in scenes/<name>/export/4dgs."),
-]
+Out = Annotated[Path | None, out_option("FILE.4dgs|DIR", "Output; by default in scenes/<name>/export/4dgs.")]
 
 
 @of_last_run("coarse")

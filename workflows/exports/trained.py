@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ...pipeline import CaptureError, SettingsError, StageError, say
 from ...stages.facts import Facts
-from ..machine.places import FOLDERS, is_folder
+from ..machine.places import FOLDERS, is_folder, typed_output
 from ..results import results, trained_stage
 from ..session import Options, Session, open_session
 
@@ -22,6 +22,15 @@ if TYPE_CHECKING:
     from ...stages.shared.frameset import FrameSet
 
 MOST_TIMES, MOST_ASKED = 60, 10_000  # by default, and that --times takes
+
+
+def out_option(metavar: str, help: str) -> Any:
+    return typer.Option("--out", parser=typed_output, metavar=metavar, help=help)
+
+
+def times_option(help: str) -> Any:
+    return typer.Option("--times", min=1, max=MOST_ASKED, help=help)
+
 
 Moment = Annotated[float | None, typer.Option("--time", metavar="T", help="Only this time, 0 (first) to 1 (last).")]
 Up = Annotated[

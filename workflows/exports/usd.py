@@ -5,26 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from rich.console import Console
 
 from ...pipeline import Progress, counted, say
-from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
-from .trained import MOST_ASKED, Antialiased, Moment, Up, axes_line, check_moment, is_file, open_trained, up_axis, writing
+from .trained import Antialiased, Moment, Up, axes_line, check_moment, is_file, open_trained, out_option, times_option, up_axis, writing
 
 ENDINGS = (".usdc", ".usda", ".usd")
 
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", parser=typed_output, metavar="FILE.usd|FILE.usdc|FILE.usda|DIR", help="Output; by default scenes/<name>/export/usd."
-    ),
-]
-Times = Annotated[
-    int | None, typer.Option("--times", min=1, max=MOST_ASKED, help="Number of time samples; by default one for each time, at most 60.")
-]
+Out = Annotated[Path | None, out_option("FILE.usd|FILE.usdc|FILE.usda|DIR", "Output; by default scenes/<name>/export/usd.")]
+Times = Annotated[int | None, times_option("Number of time samples; by default one for each time, at most 60.")]
 
 
 @of_last_run("coarse")

@@ -6,27 +6,23 @@ import hashlib
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from rich.console import Console
 
 from ...pipeline import Progress, SettingsError, say
 from ...pipeline.files import write_atomically
-from ..machine.places import typed_output
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
-from .trained import check_posed, is_file, open_trained, writing
+from .trained import check_posed, is_file, open_trained, out_option, writing
 
 ENDINGS = (".html", ".htm")
 PAGE, DATA = "index.html", "scene.e4dw"
 
 Out = Annotated[
     Path | None,
-    typer.Option(
-        "--out",
-        parser=typed_output,
-        metavar="FILE.html|DIR",
-        help="One page with everything in it, or a folder with page and data apart, for a web server; by default a page in "
+    out_option(
+        "FILE.html|DIR",
+        "One page with everything in it, or a folder with page and data apart, for a web server; by default a page in "
         "scenes/<name>/export/web.",
     ),
 ]
