@@ -7,8 +7,7 @@ from collections.abc import Callable
 import typer
 
 from .store import diff, list_, pin, show_result, unpin
-from .upkeep import gc
-from .verify import verify
+from .upkeep import gc, verify
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "list": list_,

@@ -1,4 +1,4 @@
-"""`e4dgs store gc`: removes what no scene refers to."""
+"""`e4dgs store gc` removes what no scene refers to, and `e4dgs store verify` reads every result again."""
 
 from __future__ import annotations
 
@@ -61,6 +61,21 @@ def gc(
             "what is left is in use, pinned, too new, or belongs to a scene's last run; "
             "remove a folder under scenes/ to release the results of that scene"
         )
+
+
+def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
+    """Digest every result in the store again; a damaged one is moved aside, to be made again by the next run. Exit code 1 for any."""
+    store = opened(workspace)
+    results = store.verify()
+    damaged = [result for result in results if result[2]]
+    for stage, key, problem in damaged:
+        with writing_to(workspace.resolve()):
+            place = store.quarantine_damaged(stage, key)
+        then = f"moved to {place}; the next run makes it again" if place else "a process builds it now"
+        say(f"{stage}: damaged: {problem}; {then}")
+    say(f"{len(results) - len(damaged)} of {len(results)} results in {workspace} are as they were written")
+    if damaged:
+        raise typer.Exit(1)
 
 
 def _caches(workspace: Path, store: Store, most: int | None, age: float | None, dry_run: bool) -> int:

@@ -9,7 +9,6 @@ from ...pipeline import Row
 from ..last_run import decided_for, facts_of
 from ..reconstruction import EVALUATION
 from ..session import Options, Session, open_session
-from .clock import Deadline
 from .decisions import Decisions
 from .defaults import COARSE, FINE, HULLS, guessed_times, steps_at_one
 from .evaluating import Evaluating, choose_with
@@ -17,7 +16,7 @@ from .known import Known
 from .ladder import STEPS
 from .size import sized
 from .timed import Timed, left_to_publish
-from .words import seconds_of
+from .words import Deadline, seconds_of
 
 
 def begin(options: Options, say: Callable[[str], None], anew: bool = False) -> tuple[Session, Timed | None]:
@@ -25,7 +24,7 @@ def begin(options: Options, say: Callable[[str], None], anew: bool = False) -> t
     earlier run decided for the same time does not count. Raises what `open_session` raises."""
     if options.choice.time is None:
         return open_session(options), None
-    deadline = Deadline.of(options.choice.time)
+    deadline = Deadline(seconds_of(options.choice.time))
     if anew:
         options.choice = replace(options.choice, resolved=())
     session = open_session(options)

@@ -9,13 +9,13 @@ from typing import NamedTuple
 from ...pipeline import duration, make_plan
 from ...stages.facts import Facts
 from ..session import Session, open_session
-from .clock import Deadline
 from .decisions import Decisions
 from .defaults import COARSE, expected, guessed_times, stages_before, steps_at_one
 from .evaluating import Evaluating
 from .known import Known
 from .ladder import FRAMES, SIZE, STEPS
 from .resolve import shortest
+from .words import Deadline
 
 SHARES = (1.0, 0.8, 0.65, 0.5, 0.4)  # of the longer side
 LEAST_SIDE = 320  # px; smaller pictures show too little

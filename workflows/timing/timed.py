@@ -8,13 +8,13 @@ from typing import Any
 from ...pipeline import Artifact, Outcome, duration
 from ..reconstruction import EVALUATION
 from ..session import Session
-from .clock import Deadline
 from .decisions import Decisions
 from .defaults import COARSE, FINE, guessed_times, kind, refines, seconds_of_coarse, steps_at_one, views_by_default
 from .evaluating import Evaluating, choose_with
 from .known import Known
 from .ladder import MEASURED, MOVIES, REFINEMENT, REFINING, SHARE, STEPS
 from .resolve import PICTURES, Chosen, TrainingTimes, evaluation_within, refinement_within
+from .words import Deadline
 
 PUBLISHING = "publishing"  # the report and the metrics, after the last stage
 LEFT_TO_PUBLISH = 2.0  # s, on the machine of the estimates

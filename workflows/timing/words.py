@@ -1,11 +1,14 @@
-"""Times as people write them on a command line: 90s, 10m, 1h30m."""
+"""The time that a run was given, as people write it (90s, 10m, 1h30m), and how much of it is left."""
 
 from __future__ import annotations
 
 import re
+import time
+from dataclasses import dataclass, field
 
 from ...pipeline import SettingsError
 
+KEPT_BACK = 0.02  # of the time: late is worse than early
 MOST = 1000 * 3600.0
 _NUMBER = r"(\d+(?:\.\d+)?)"
 _FORM = re.compile(rf"(?:{_NUMBER}h)?(?:{_NUMBER}m(?:in)?)?(?:{_NUMBER}s)?", re.ASCII)
@@ -29,3 +32,24 @@ def words_for(seconds: float) -> str:
     hours, minutes = divmod(minutes, 60)
     parts = [f"{count}{unit}" for count, unit in ((hours, "h"), (minutes, "m"), (rest, "s")) if count]
     return "".join(parts) or "0s"
+
+
+@dataclass
+class Deadline:
+    """seconds: that the run may take. began: by `time.monotonic`."""
+
+    seconds: float
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def words(self) -> str:
+        return words_for(self.seconds)
+
+    @property
+    def spent(self) -> float:
+        return time.monotonic() - self.began
+
+    @property
+    def left(self) -> float:
+        """Seconds to plan with."""
+        return (1 - KEPT_BACK) * self.seconds - self.spent
