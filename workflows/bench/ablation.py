@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,9 +17,7 @@ from ..machine.places import typed_path
 from ..machine.terminal import make_console
 from ..options import Captures, of_captures
 from ..session import Options
-from . import output
-from .machine import machine
-from .pipeline import content, measured, summaries, table
+from .pipeline import measured, summaries, table
 
 NO_DATA, NO_INTERVAL = ("train.data_flow_weight=0",), ("train.interval_weight=0",)
 INTERVAL = ("train.interval_weight=0.001",)  # by default, only planes have it
@@ -83,11 +80,7 @@ def ablation(
     console = make_console()
     chosen = choose(rows)
     points = [(name, options.choice.preset, ROWS[name]) for name in chosen]
-    jobs = [(replace(options, capture=capture), point, seed) for capture in captures for point in points for seed in range(seeds)]
-    runs = []
-    for run in measured(jobs, console):
-        runs.append(run)
-        output.write(out / "ablation.json", content(runs, machine(), jobs[0][0]))  # after each run, so a failure does not lose earlier ones
+    for runs in measured(captures, points, seeds, options, out / "ablation.json", console):
         write(out, summaries(runs), f"Preset {options.choice.preset}. {' '.join(options.choice.set)}")
     console.print(table(summaries(runs)))
     say(f"table: {out / 'ablation.html'}", to=console)

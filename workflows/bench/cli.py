@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,10 +13,8 @@ from ..machine.places import typed_path
 from ..machine.terminal import make_console
 from ..options import Captures, Debug, of_captures, seen_as
 from ..session import Options
-from . import output
 from .ablation import ablation
-from .machine import machine
-from .pipeline import LADDER, check_plot, content, draw, measured, parse_points, summaries, table
+from .pipeline import LADDER, check_plot, draw, measured, parse_points, summaries, table
 from .rows import Bench
 from .run import run
 from .suites import REPEATS, SECONDS, SUITES
@@ -99,13 +96,7 @@ def pipeline(
     """Quality against run time of whole runs on captures; presets are points of the curve. Results are kept and reused in the workspace."""
     check_plot(plot)
     console = make_console()
-    chosen = parse_points(points)
-    jobs = [(replace(options, capture=capture), point, seed) for capture in captures for point in chosen for seed in range(seeds)]
-    runs = []
-    for one in measured(jobs, console):
-        runs.append(one)
-        if out is not None:  # after each run, so that a failure does not lose earlier ones
-            output.write(out, content(runs, machine(), jobs[0][0]))
+    *_, runs = measured(captures, parse_points(points), seeds, options, out, console)
     console.print(table(summaries(runs)))
     if plot is not None:
         draw(plot, summaries(runs))

@@ -10,6 +10,7 @@ import statistics
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,13 @@ from ...pipeline import SettingsError, make_plan
 from ..presets import PRESETS
 from ..runs import execute
 from ..session import SEEDS, Options, open_session
+from . import output
+from .machine import machine
 
 LADDER = "coarse.effort=0.05,fast,coarse.effort=0.4,default"
 HELD_OUT = ("test", "val")
 METRICS = ("psnr", "psnr_affine", "ssim", "lpips", "edge_psnr", "psnr_foreground", "psnr_moving", "psnr_static")
 Point = tuple[str, str, tuple[str, ...]]  # name, preset, assignments
-Job = tuple[Options, Point, int]  # the last is the seed
 FLICKER = ("static", "edges", "warped", "flow")
 
 
@@ -66,11 +68,19 @@ def parse_points(text: str) -> list[Point]:
     return points
 
 
-def measured(jobs: Sequence[Job], console: Console) -> Iterator[Run]:
-    """Runs the ``jobs`` one after another, each announced on the ``console``."""
-    for number, (options, point, seed) in enumerate(jobs, 1):
-        console.print(f"[{number}/{len(jobs)}] {options.capture.name}: {point[0]}, seed {seed}", highlight=False, markup=False)
-        yield measure(options, point, seed, console, lambda line: console.print("  " + line, markup=False, highlight=False))
+def measured(
+    captures: Sequence[Path], points: Sequence[Point], seeds: int, options: Options, out: Path | None, console: Console
+) -> Iterator[list[Run]]:
+    """All runs so far, after each one: a run of each capture at each point with each seed, announced on the ``console`` and written to
+    ``out``, so that a failure does not lose earlier ones."""
+    jobs, runs = list(product(captures, points, range(seeds))), []
+    for number, (capture, point, seed) in enumerate(jobs, 1):
+        console.print(f"[{number}/{len(jobs)}] {capture.name}: {point[0]}, seed {seed}", highlight=False, markup=False)
+        own = replace(options, capture=capture)
+        runs.append(measure(own, point, seed, console, lambda line: console.print("  " + line, markup=False, highlight=False)))
+        if out is not None:
+            output.write(out, content(runs, machine(), options))
+        yield runs
 
 
 def measure(options: Options, point: Point, seed: int, console: Console, say: Callable[[str], None]) -> Run:
