@@ -148,16 +148,12 @@ export class Depths {
     const { near, antialiased } = header, deep = new Float64Array(each);
     for (let i = 0; i < moving; ++i) {
       for (let k = 0; k < each; ++k) {
-        let sum = 0;
         const point = i * each + k, j = 3 * (still * each + point), l = 4 * point, m = 3 * point;
         const x = points[j], y = points[j + 1], z = points[j + 2];
         const w0 = weights[m], w1 = weights[m + 1], w2 = weights[m + 2], w3 = 1 - w0 - w1 - w2;
         const n0 = 4 * links[l], n1 = 4 * links[l + 1], n2 = 4 * links[l + 2], n3 = 4 * links[l + 3];
-        sum += (w0 * linear[n0] + w1 * linear[n1] + w2 * linear[n2] + w3 * linear[n3]) * x;
-        sum += (w0 * linear[n0 + 1] + w1 * linear[n1 + 1] + w2 * linear[n2 + 1] + w3 * linear[n3 + 1]) * y;
-        sum += (w0 * linear[n0 + 2] + w1 * linear[n1 + 2] + w2 * linear[n2 + 2] + w3 * linear[n3 + 2]) * z;
-        sum += w0 * linear[n0 + 3] + w1 * linear[n1 + 3] + w2 * linear[n2 + 3] + w3 * linear[n3 + 3];
-        deep[k] = sum;
+        const mean = (q) => w0 * linear[n0 + q] + w1 * linear[n1 + q] + w2 * linear[n2 + q] + w3 * linear[n3 + q];
+        deep[k] = mean(0) * x + mean(1) * y + mean(2) * z + mean(3);
       }
       depth[at + still + i] = name === "g" ? deep[0] : middleOf(deep, near, antialiased);
     }

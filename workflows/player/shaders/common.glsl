@@ -10,6 +10,25 @@ uniform vec3 uLight;      // courses of light at this time
 uniform float uFrame;     // fractional frame of the capture, for lives
 uniform float uBetween;   // share of the way from one key of paths to the next
 
+uniform int uFirst;       // of the texels: number of the first primitive
+uniform int uCount;
+uniform int uStill;       // primitives that do not move; they come first
+uniform highp sampler2D uSh;
+#ifdef LIGHT
+uniform highp sampler2D uShades;
+#endif
+#ifdef LIVES
+uniform highp sampler2D uLives;    // two texels: middle, 1 / span, velocity (over both), spin
+#endif
+#ifdef NODES
+uniform highp sampler2D uLinks;    // a texel for each Gaussian, or for each point of a convex
+uniform highp sampler2D uWeights;
+#endif
+#ifdef PATHS
+uniform highp sampler2D uKey;      // at the key before: shift, turn, growth of a Gaussian, or the shift of each point of a convex
+uniform highp sampler2D uNextKey;  // and at the key after
+#endif
+
 const float LEAST_ALPHA = 1.0 / 255.0;
 const float LOG2_E = 1.4426950408889634;
 const float SH_C0 = 0.28209479177387814;
@@ -37,12 +56,26 @@ float fade(float z) {
     return t * t * (3.0 - 2.0 * t);
 }
 
+#ifdef LIVES
+// Moves and fades what life `at` belongs to, and returns its turn.
+vec4 lived(int at, inout vec3 mean, inout float opacity) {
+    vec4 life = texelFetch(uLives, place(2 * at), 0), spin = texelFetch(uLives, place(2 * at + 1), 0);
+    float age = uFrame - life.x, shares = age * life.y;
+    opacity *= exp(-0.5 * shares * shares);
+    mean += age * vec3(life.zw, spin.x);
+    return turnedBy(age * spin.yzw);
+}
+#endif
+
 // Colour of primitive i in the direction d, from a texture with one texel for each coefficient.
-vec3 colourOf(highp sampler2D sh, int i, vec3 d, float gain) {
+vec3 colourOf(int i, vec3 d) {
     int at = i * COEFFICIENTS;
-    vec3 dc = texelFetch(sh, place(at), 0).rgb;
-    vec3 sum = SH_C0 * (dc + gain * (dc + 0.5 / SH_C0));
-#define SH(k) texelFetch(sh, place(at + k), 0).rgb
+    float gain = 0.0;
+#ifdef LIGHT
+    gain = dot(texelFetch(uShades, place(i), 0).xyz, uLight);
+#endif
+#define SH(k) texelFetch(uSh, place(at + k), 0).rgb
+    vec3 dc = SH(0), sum = SH_C0 * (dc + gain * (dc + 0.5 / SH_C0));
 #if COEFFICIENTS > 1
     sum += 0.4886025119029199 * (d.z * SH(2) - d.y * SH(1) - d.x * SH(3));
 #endif

@@ -4,25 +4,6 @@
 // same for all edges, log2(CORNERS / perimeter), is added to their sum only.
 uniform highp sampler2D uPoints;   // a texel for each point: xyz
 uniform highp sampler2D uShapes;   // tau, kappa, opacity
-uniform highp sampler2D uSh;
-#ifdef LIGHT
-uniform highp sampler2D uShades;
-#endif
-uniform int uFirst;                // of the texels: number of the first convex
-uniform int uCount;
-uniform int uStill;                // convexes that do not move; they come first
-
-#ifdef LIVES
-uniform highp sampler2D uLives;    // two texels: middle, 1 / span, velocity (over both), spin
-#endif
-#ifdef NODES
-uniform highp sampler2D uLinks;    // a texel for each point
-uniform highp sampler2D uWeights;
-#endif
-#ifdef PATHS
-uniform highp sampler2D uKey;      // a texel for each point: its shift at the key before
-uniform highp sampler2D uNextKey;  // and at the key after
-#endif
 
 const float DEGENERATE = 1e-5;     // least area of a hull, of its squared extent
 const float FLAT = 1e-6;           // of the squared extent; smaller turns may be rounding and make no corner
@@ -72,13 +53,7 @@ bool placed(int i) {  // fills in the points; false if nothing is in front of th
     vec3 moved = meanPoint;
     vec4 quat = vec4(1.0, 0.0, 0.0, 0.0);
 #ifdef LIVES
-    if (i >= uStill) {
-        vec4 life = texelFetch(uLives, place(2 * (i - uStill)), 0), spin = texelFetch(uLives, place(2 * (i - uStill) + 1), 0);
-        float age = uFrame - life.x, shares = age * life.y;
-        shape.z *= exp(-0.5 * shares * shares);
-        moved += age * vec3(life.zw, spin.x);
-        quat = turnedBy(age * spin.yzw);
-    }
+    if (i >= uStill) quat = lived(i - uStill, moved, shape.z);
 #endif
     if (shape.z < LEAST_ALPHA) return false;
     vec3 arm[CORNERS];  // from the centre
@@ -239,11 +214,7 @@ void main() {
         }
     box += middle.xyxy;
     if (!(box.z > box.x) || !(box.w > box.y)) return;
-    float gain = 0.0;
-#ifdef LIGHT
-    gain = dot(texelFetch(uShades, place(i), 0).xyz, uLight);
-#endif
-    vec3 colour = colourOf(uSh, i, normalize(meanPoint - uEye + 1e-12), gain);
+    vec3 colour = colourOf(i, normalize(meanPoint - uEye + 1e-12));
     oPlace = floatBitsToUint(box);
     oLook = uvec4(floatBitsToUint(rho), floatBitsToUint(opacity), packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, shared_)));
 }

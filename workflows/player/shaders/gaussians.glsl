@@ -3,25 +3,6 @@
 uniform highp sampler2D uMeans;   // xyz, opacity
 uniform highp sampler2D uTurns;   // unit quaternion w x y z
 uniform highp sampler2D uScales;  // standard deviations
-uniform highp sampler2D uSh;
-#ifdef LIGHT
-uniform highp sampler2D uShades;
-#endif
-uniform int uFirst;               // of the texels: number of the first primitive
-uniform int uCount;
-uniform int uStill;               // Gaussians that do not move; they come first
-
-#ifdef LIVES
-uniform highp sampler2D uLives;   // two texels: middle, 1 / span, velocity (over both), spin
-#endif
-#ifdef NODES
-uniform highp sampler2D uLinks;
-uniform highp sampler2D uWeights;
-#endif
-#ifdef PATHS
-uniform highp sampler2D uKey;     // three texels: shift, turn, growth, at the key before
-uniform highp sampler2D uNextKey; // and at the key after
-#endif
 
 layout(location = 0) out highp uvec4 oPlace;  // centre px, f.xy
 layout(location = 1) out highp uvec4 oLook;   // f.z, log2 opacity, colour
@@ -35,19 +16,14 @@ void main() {
     vec3 mean = meanAndOpacity.xyz;
     float opacity = meanAndOpacity.w;
 #ifdef LIVES
-    vec4 life = vec4(0.0), spin = vec4(0.0);
-    if (i >= uStill) {
-        life = texelFetch(uLives, place(2 * (i - uStill)), 0), spin = texelFetch(uLives, place(2 * (i - uStill) + 1), 0);
-        float age = uFrame - life.x, shares = age * life.y;
-        opacity *= exp(-0.5 * shares * shares);
-        mean += age * vec3(life.zw, spin.x);
-    }
+    vec4 turned;
+    if (i >= uStill) turned = lived(i - uStill, mean, opacity);
 #endif
     if (opacity < LEAST_ALPHA) return;
     vec4 quat = texelFetch(uTurns, place(i), 0);
     vec3 scale = texelFetch(uScales, place(i), 0).xyz;
 #ifdef LIVES
-    if (i >= uStill) quat = composed(turnedBy((uFrame - life.x) * spin.yzw), quat);
+    if (i >= uStill) quat = composed(turned, quat);
 #endif
 #ifdef NODES
     if (i >= uStill) {
@@ -88,11 +64,7 @@ void main() {
     if (any(lessThan(centre + extent, vec2(0.0))) || any(greaterThan(centre - extent, uSize))) return;
     float half_ = sqrt(0.5 * LOG2_E), side = sqrt(yy), inverse = inversesqrt(det);
     vec3 f = half_ * vec3(side * inverse, -xy / side * inverse, 1.0 / side);
-    float gain = 0.0;
-#ifdef LIGHT
-    gain = dot(texelFetch(uShades, place(i), 0).xyz, uLight);
-#endif
-    vec3 colour = colourOf(uSh, i, normalize(away), gain);
+    vec3 colour = colourOf(i, normalize(away));
     oPlace = floatBitsToUint(vec4(centre, f.xy));
     oLook = uvec4(floatBitsToUint(f.z), floatBitsToUint(log2(opacity)), packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, 0.0)));
 }
