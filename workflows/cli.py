@@ -112,10 +112,7 @@ def run(
 
 @app.command()
 @of_capture
-def plan(
-    options: Options,
-    as_json: Annotated[bool, typer.Option("--json", help="The plan as JSON.")] = False,
-) -> None:
+def plan(options: Options, as_json: Annotated[bool, typer.Option("--json", help="The plan as JSON.")] = False) -> None:
     """Show what a run would do, stage by stage, and why. Nothing runs, and no result is written."""
     from .publish import plan_json
 
@@ -130,10 +127,7 @@ def plan(
 
 @app.command()
 @of_last_run("frames", done=False)
-def why(
-    stage: Annotated[str, typer.Argument(metavar="STAGE")],
-    options: Options,
-) -> None:
+def why(stage: Annotated[str, typer.Argument(metavar="STAGE")], options: Options) -> None:
     """Say which setting, input or source file changed since a stage last ran for this capture."""
     session = open_session(options)
     say(*explain(session.job, stage))

@@ -43,11 +43,7 @@ class Ended:
 
 
 def run_process(
-    start: Callable[[], Process],
-    log: Path,
-    timeout: float | None,
-    too_large: Callable[[float], str],
-    stopped: Callable[[], bool],
+    start: Callable[[], Process], log: Path, timeout: float | None, too_large: Callable[[float], str], stopped: Callable[[], bool]
 ) -> Ended:
     """Starts a process with ``start`` and waits for it. The process appends its output to ``log``.
 

@@ -67,14 +67,7 @@ def _alone(threads: int | None, memory_gb: float | None) -> Take:
     return lambda wanted: contextlib.nullcontext(Lease(wanted, threads, memory_gb))
 
 
-def _run_part(
-    ledger: Ledger,
-    scene: str,
-    part: str,
-    timeout: float | None,
-    stopped: Callable[[], bool],
-    take: Take,
-) -> bool:
+def _run_part(ledger: Ledger, scene: str, part: str, timeout: float | None, stopped: Callable[[], bool], take: Take) -> bool:
     entry = ledger.entry(scene)
     if entry is None:  # since this was submitted, the batch has been given another list, in which nobody looks for the scene's state
         return False

@@ -60,11 +60,7 @@ Target = Annotated[
     up="flow lies in pictures, which have no axis of the scene; leave it out",
     antialiased="flow is measured in the frames, not drawn by the model; leave it out",
 )
-def flow(
-    options: Options,
-    out: Out = None,
-    largest: Largest = None,
-) -> None:
+def flow(options: Options, out: Out = None, largest: Largest = None) -> None:
     """Measured flow of every pair of frames as .flo and PNG, with edges and what moves laid over the first frame."""
     if largest is not None and not 0 < largest < float("inf"):
         raise SettingsError(f"--largest {largest}: give a positive number of px")
@@ -121,12 +117,7 @@ def _command(kind: SplatFormat) -> Callable[..., None]:
 
     @of_last_run("coarse")
     def command(
-        options: Options,
-        out: Target = None,
-        times: Times = None,
-        time: Moment = None,
-        up: Up = None,
-        antialiased: Antialiased = False,
+        options: Options, out: Target = None, times: Times = None, time: Moment = None, up: Up = None, antialiased: Antialiased = False
     ) -> None:
         _splats(kind, options, out, times, time, up, antialiased)
 

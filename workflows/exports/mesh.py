@@ -51,13 +51,7 @@ Voxel = Annotated[
 @of_last_run("coarse")
 @without(antialiased="triangles have no opacity to compensate; leave it out")
 def mesh(
-    options: Options,
-    out: Out = None,
-    times: Times = None,
-    time: Moment = None,
-    voxel: Voxel = None,
-    convexes: Hulls = False,
-    up: Up = None,
+    options: Options, out: Out = None, times: Times = None, time: Moment = None, voxel: Voxel = None, convexes: Hulls = False, up: Up = None
 ) -> None:
     """The whole scene as a coloured triangle mesh, fused from depth: a .ply file for each time, or a .glb file that plays."""
     if voxel is not None and not 0 < voxel < float("inf"):

@@ -23,13 +23,7 @@ Out = Annotated[Path | None, out_option("FILE.4dgs|DIR", "Output; by default in 
 
 @of_last_run("coarse")
 @without(times="one file holds the whole clip, so there is no number of files to choose; leave it out, or give --time for one moment")
-def container(
-    options: Options,
-    out: Out = None,
-    time: Moment = None,
-    up: Up = None,
-    antialiased: Antialiased = False,
-) -> None:
+def container(options: Options, out: Out = None, time: Moment = None, up: Up = None, antialiased: Antialiased = False) -> None:
     """One .4dgs file that plays (gaussian-birth), for players of that open container; convexes become Gaussians."""
     write_straight("4dgs", options, out, time, up, antialiased)
 

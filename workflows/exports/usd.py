@@ -20,12 +20,7 @@ Times = Annotated[int | None, times_option("Number of time samples; by default o
 
 @of_last_run("coarse")
 def usd(
-    options: Options,
-    out: Out = None,
-    times: Times = None,
-    time: Moment = None,
-    up: Up = None,
-    antialiased: Antialiased = False,
+    options: Options, out: Out = None, times: Times = None, time: Moment = None, up: Up = None, antialiased: Antialiased = False
 ) -> None:
     """One USD file with time samples (ParticleField3DGaussianSplat), for film and effects; convexes become Gaussians."""
     check_moment(time, times)

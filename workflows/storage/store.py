@@ -114,11 +114,7 @@ def diff(
     say("the content is the same" if same else "the content differs")
 
 
-def pin(
-    scene: Annotated[str, typer.Argument(metavar="SCENE")],
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    debug: Debug = False,
-) -> None:
+def pin(scene: Annotated[str, typer.Argument(metavar="SCENE")], workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
     """Keep what a scene's last run used, whatever runs later: `gc` leaves it until it is unpinned."""
     scene = scene_of(Path(scene), workspace.resolve()) or scene
     results = [result for result, scenes in users(workspace.resolve()).items() if scene in scenes]
@@ -130,11 +126,7 @@ def pin(
     say(f"{scene}: {counted(len(pinned), 'result is', 'results are')} pinned")
 
 
-def unpin(
-    scene: Annotated[str, typer.Argument(metavar="SCENE")],
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    debug: Debug = False,
-) -> None:
+def unpin(scene: Annotated[str, typer.Argument(metavar="SCENE")], workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
     """Let go of what `pin` keeps."""
     scene, pins = composed(scene), Pins(Store(workspace.resolve() / "store"))
     if scene not in pins.names():
