@@ -15,6 +15,9 @@ export function turned(v, axis, angle) {
   return v.map((x, k) => c * x + s * side[k] + along * axis[k]);
 }
 
+// Where the camera of a cam_from_world is.
+export const eyeOf = (m) => [0, 1, 2].map((j) => -(m[j] * m[3] + m[4 + j] * m[7] + m[8 + j] * m[11]));
+
 export class Camera {
   constructor({ up, target, cameras }) {
     this.up = unit(up);
@@ -26,7 +29,7 @@ export class Camera {
   // Takes the place of a capture's camera.
   jump({ cam_from_world: m, K, width, height }) {
     this.right = [m[0], m[1], m[2]], this.down = [m[4], m[5], m[6]], this.forward = [m[8], m[9], m[10]];
-    this.eye = [0, 1, 2].map((j) => -(m[j] * m[3] + m[4 + j] * m[7] + m[8 + j] * m[11]));
+    this.eye = eyeOf(m);
     this.lens = { K, width, height };
     this.target = this.goal.slice();
     const ahead = dot(add(this.goal, this.eye, -1), this.forward);
@@ -115,10 +118,8 @@ export function checkView({ time, cam_from_world: m, K, width, height } = {}, mo
 
 // Whether 16 numbers, row by row, are a rotation and a shift.
 export function isRigid(m) {
-  const row = (k) => [m[4 * k], m[4 * k + 1], m[4 * k + 2]], dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-  const [x, y, z] = [row(0), row(1), row(2)];
-  const turned = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
-  const off = [dot(x, x) - 1, dot(y, y) - 1, dot(z, z) - 1, dot(x, y), dot(turned, z) - 1, m[12], m[13], m[14], m[15] - 1];
+  const [x, y, z] = [0, 4, 8].map((k) => [m[k], m[k + 1], m[k + 2]]);
+  const off = [dot(x, x) - 1, dot(y, y) - 1, dot(z, z) - 1, dot(x, y), dot(cross(x, y), z) - 1, m[12], m[13], m[14], m[15] - 1];
   return off.every((one) => Math.abs(one) <= RIGID);
 }
 

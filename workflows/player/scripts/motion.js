@@ -1,4 +1,5 @@
 // Where things are at a time, on the CPU: poses of nodes (for the shaders and for sorting), keys of paths, and the depth of every centre.
+import { turned } from "./camera.js";
 
 // The key before time t in [0, 1], and the share of the way to the one after.
 export function keyAt(t, keys) {
@@ -43,11 +44,9 @@ function middleOf(z, near, antialiased) {
 }
 
 // v turned by the rotation vector `turn`, rad.
-function turnedBy([x, y, z], turn) {
+function turnedBy(v, turn) {
   const angle = Math.hypot(...turn);
-  if (angle < 1e-12) return [x, y, z];
-  const [u, v, w] = turn.map((one) => one / angle), c = Math.cos(angle), s = Math.sin(angle), along = (u * x + v * y + w * z) * (1 - c);
-  return [c * x + s * (v * z - w * y) + along * u, c * y + s * (w * x - u * z) + along * v, c * z + s * (u * y - v * x) + along * w];
+  return angle < 1e-12 ? v : turned(v, turn.map((one) => one / angle), angle);
 }
 
 // The depths by which primitives are sorted: z of Gaussians, then of the middles of convexes, in a camera whose z is a x + b y + c z + d.

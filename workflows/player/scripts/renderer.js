@@ -1,5 +1,6 @@
 // Draws a scene with WebGL 2. Every primitive is projected once a frame into textures; then all are blended front to back in one call, in the
 // order in which the sorter has put them.
+import { eyeOf } from "./camera.js";
 import { Program, WIDTH, newTexture, numbers, ordered, quadsOf, target, written } from "./gpu.js";
 import { laterRows } from "./layout.js";
 import { keyAt, posesAt, rowAt } from "./motion.js";
@@ -149,10 +150,9 @@ export class Renderer {
 
   #project({ time, cam_from_world: m, K, width, height }) {
     const { gl } = this, { header, arrays } = this.scene, t = Math.min(Math.max(time, 0), 1);
-    const eye = [0, 1, 2].map((j) => -(m[j] * m[3] + m[4 + j] * m[7] + m[8 + j] * m[11]));
     const camera = {
       uRotation: [m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]],
-      uEye: eye,
+      uEye: eyeOf(m),
       uLens: [K[0], K[4], K[2], K[5]],
       uSize: [width, height],
       uNear: header.near,
