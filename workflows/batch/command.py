@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -21,10 +21,14 @@ from ..session import DEFAULT_WORKSPACE, Options, assigned, other_stores
 from .board import table, watch
 from .ledger import Ledger, Progress, batches
 from .listing import Entry, entries_of
+from .local import Local, usual_jobs
+from .share import usual_memory_gb
+from .sites.cluster import Parsl, read_cluster
+from .sites.pools import Cluster
+from .sites.slurm import USUAL, USUAL_GPU
+from .sites.slurm import emit as write_scripts
+from .summary import rows_of, write_summary
 from .work import is_current
-
-if TYPE_CHECKING:
-    from .sites.pools import Cluster
 
 MOST_NAMES = 5  # of a replaced batch that are printed
 MOST_COMMANDS = 10  # printed at the end; the table has all of them
@@ -60,8 +64,6 @@ def batch(
     _refuse_what_is_local({"--jobs": jobs, "--memory": memory, "--retries": retries}, executor, emit)
     cluster = None
     if executor != "local":
-        from .sites.cluster import read_cluster
-
         cluster = read_cluster(Path(executor))
         for pool in ("cpu", "gpu") if emit is not None else ():
             if (provider := getattr(getattr(cluster, pool), "provider", emit)) != emit:
@@ -94,32 +96,21 @@ def batch(
             return
         runner: Any
         if cluster is None:
-            from .local import Local, usual_jobs
-            from .share import usual_memory_gb
-
             tries = 1 if retries is None else retries
             runner = Local(ledger, min(jobs or usual_jobs(), len(entries)), memory or usual_memory_gb(), tries, stage_timeout)
         else:
-            from .sites.cluster import Parsl
-
             runner = Parsl(ledger, cluster, stage_timeout)
         _run(ledger, runner)
 
 
 def _write_scripts(ledger: Ledger, cluster: Cluster | None, device: str, stage_timeout: float | None) -> None:
     """Writes job scripts for Slurm, and says how to submit them."""
-    from .sites.pools import Cluster
-    from .sites.slurm import USUAL, USUAL_GPU
-    from .sites.slurm import emit as write_scripts
-
     cluster = cluster or Cluster.model_validate({"cpu": USUAL, "gpu": None if device == "cpu" else USUAL_GPU})
     say(f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh")
 
 
 def _run(ledger: Ledger, runner: Any) -> None:
     """Runs what is not done and shows it. Raises Exit with code 1 if a scene failed."""
-    from .summary import rows_of, write_summary
-
     entries = ledger.entries()
     try:
         futures = runner.start([entry for entry in entries if ledger.progress(entry.name).state != "done"])

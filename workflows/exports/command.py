@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, counted, say
+from ...stages.exports.numbered import KINDS, SplatFormat
 from ..options import of_last_run
 from ..results import results
 from ..session import Options, open_session
@@ -35,9 +36,6 @@ from .trained import (
 )
 from .usd import usd
 from .web import web
-
-if TYPE_CHECKING:
-    from ...stages.exports.numbered import SplatFormat
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
@@ -138,8 +136,6 @@ def _splats(
     kind: SplatFormat, options: Options, out: Path | None, times: int | None, time: float | None, up: str | None, antialiased: bool
 ) -> None:
     """Writes the Gaussians of each time as files of ``kind``, and prints their axes and how far they are from the model."""
-    from ...stages.exports.numbered import KINDS
-
     ending = "." + KINDS[kind].rpartition(".")[2]  # of .compressed.ply, too
     check_moment(time, times)
     axis, single = up_axis(up), is_file(out, (ending,))

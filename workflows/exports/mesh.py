@@ -12,6 +12,8 @@ from rich.console import Console
 
 from ...pipeline import Progress, SettingsError, StageError, counted, say
 from ...pipeline.files import write_atomically
+from ...scene.formats.axes import Turn
+from ...stages.exports.numbered import new_sequence, numbered, write_index
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
@@ -32,7 +34,6 @@ from .trained import (
 )
 
 if TYPE_CHECKING:
-    from ...scene.formats.axes import Turn
     from ...scene.mesh import Mesh
 
 ENDINGS = (".glb", ".ply")
@@ -120,7 +121,6 @@ def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[flo
     of each. Raises StageError if there is none at any moment."""
     from ...scene.mesh import mesh_glb_bytes, mesh_ply_bytes
     from ...stages.exports.bake import nothing_visible
-    from ...stages.exports.numbered import new_sequence, numbered, write_index
     from ...stages.exports.splats import origin_of
 
     if single:

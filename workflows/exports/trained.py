@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...pipeline import CaptureError, SettingsError, StageError, say
+from ...scene.formats.axes import AXES, Turn
+from ...stages.exports.numbered import strangers
 from ...stages.facts import Facts
 from ..machine.places import FOLDERS, is_folder, typed_output
 from ..results import results, trained_stage
 from ..session import Options, Session, open_session
 
 if TYPE_CHECKING:
-    from ...scene.formats.axes import Turn
     from ...scene.model import Model
     from ...stages.shared.frameset import FrameSet
 
@@ -121,8 +122,6 @@ def check_moment(time: float | None, times: int | None) -> None:
 
 def up_axis(up: str | None) -> str | None:
     """``up`` as one of `AXES` or "capture"; None if it was not given. Raises SettingsError for anything else."""
-    from ...scene.formats.axes import AXES
-
     if up is None:
         return None
     axis = up.strip().removeprefix("+")
@@ -140,8 +139,6 @@ def check_single(out: Path, moments: int, ending: str) -> None:
 
 def check_strangers(out: Path | None, ending: str) -> None:
     """Raises SettingsError if ``out`` is a folder with numbered files of somebody else, among which ours could not be told apart."""
-    from ...stages.exports.numbered import strangers
-
     others = [] if out is None else strangers(out, ending)
     if others:
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""
