@@ -9,11 +9,7 @@ from ..pipeline import Graph
 
 
 def reconstruction() -> Graph:
-    """frames: times, cameras, splits, decoded video. poses: structure from motion, if the files have no poses. depth: depth of single
-    frames, if the files have any or a network is asked for. flow: motion between frames of one camera, and edge masks. seeds: where
-    Gaussians begin. coarse: Gaussians and their motion. hulls: initial convexes. fine: both kinds together. evaluate: metrics on held-out
-    views, and pictures for the report.
-    """
+    """The stages in order; the class of each says what it makes."""
     from ..stages.coarse.stage import Coarse
     from ..stages.depth.stage import Depth
     from ..stages.evaluate.stage import Evaluate

@@ -1,11 +1,11 @@
 """A process that forks itself for each stage: ``python -m e4dgs.workflows.batch.fork_server``, started by `forks.py`.
 
-A new Python needs 2 to 3 s of CPU time to import what a stage needs. A fork has it from the start and is still a separate process, which
-can crash, hang or run out of memory alone. After a stage, the server imports what that stage had to import, for the stages that follow.
+A new Python needs 2 to 3 s of CPU time to import what a stage needs. A fork has it from the start, and can still crash, hang or run out
+of memory alone. After a stage, the server imports what that stage had to import.
 
 It reads a line of JSON for each stage, ``[arguments of e4dgs, path of the log]``, and answers with two lines: process id, and exit code
-(negative for a signal). It runs one stage at a time. When its standard input ends, it ends its stage and itself. It also ends when a source
-file of ours that it has imported was edited: a fork would compute with the old code but store the result under the new code's key.
+(negative for a signal). When its standard input ends, it ends its stage and itself. It also ends when a source file of ours that it has
+imported was edited: a fork would store what the old code computes under the new code's key.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Measures where the time of our training step goes, with the motion that a capture gets: every part by name, and the remainder as "rest".
 
-Parts are measured by wrapping the functions that a step calls. Parts of the backward pass are measured by hooks on the nodes of the
-autograd graph, grouped by what they compute: the image's loss, the image, what the motion has moved or the primitives; the others belong
-to regularisers.
+The functions that a step calls are wrapped. In the backward pass, hooks are on the nodes of the autograd graph, grouped by what they
+compute: the image's loss, the image, what the motion has moved or the primitives; the others belong to regularisers.
 """
 
 from __future__ import annotations
