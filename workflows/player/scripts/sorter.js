@@ -6,9 +6,10 @@ export async function startSorter(bytes) {
   const waiting = new Map(), spare = [];
   let settle = null;
   const heard = (message) => {
-    if (["sorted", "added"].includes(message.kind)) waiting.get(message.id).done(message), waiting.delete(message.id);
-    else if (message.kind === "refused") waiting.get(message.id).failed(new Error(message.message)), waiting.delete(message.id);
-    else settle(message);
+    const { done, failed } = waiting.get(message.id) ?? {};
+    waiting.delete(message.id);
+    if (message.kind === "refused") failed(new Error(message.message));
+    else (done ?? settle)(message);
   };
   const send = await connect(heard);
   const opened = await new Promise((done) => {
@@ -18,18 +19,14 @@ export async function startSorter(bytes) {
   if (opened.kind === "failed") throw new Error(opened.message);
   settle = ({ message }) => waiting.forEach(({ failed }) => failed(new Error(message)));
   let id = 0;
-  const sort = (time, row, layer = "all") =>
+  const ask = (message, moved) =>
     new Promise((done, failed) => {
       waiting.set(++id, { done, failed });
-      const order = spare.pop();
-      send({ kind: "sort", id, time, row, layer, order }, order ? [order.buffer] : []);
+      send({ id, ...message }, moved);
     });
+  const sort = (time, row, layer = "all", order = spare.pop()) => ask({ kind: "sort", time, row, layer, order }, order ? [order.buffer] : []);
   // The decoded window, whose file is `bytes`.
-  const add = (window, bytes) =>
-    new Promise((done, failed) => {
-      waiting.set(++id, { done: ({ part }) => done(part), failed });
-      send({ kind: "add", id, window, bytes }, [bytes.buffer]);
-    });
+  const add = async (window, bytes) => (await ask({ kind: "add", window, bytes }, [bytes.buffer])).part;
   return { scene: opened.scene, sorter: { sort, add, give: (order) => spare.push(order) } };
 }
 
