@@ -2,7 +2,7 @@
 
 const KEYS = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyE: [0, 1, 0], KeyQ: [0, -1, 0] };
 const TURN = 0.005;  // radians a px of dragging
-const PACE = 0.6;    // of the distance to the target, a second of flying
+const PACE = 0.6;  // of the distance to the target, a second of flying
 const WHEEL = 0.0012, PINCH = 0.01;  // of ln distance; browsers tell a pinch on a trackpad as a wheel with ctrl, by 100 times its ln
 const SIGNS = { Comma: ",", Period: ".", BracketLeft: "[", BracketRight: "]" };  // of the keys that have them on a US keyboard
 const AGAIN = [...Object.values(SIGNS), "p", "n"];  // what acts again while its key is held

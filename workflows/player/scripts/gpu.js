@@ -2,10 +2,10 @@
 
 export const WIDTH = 4096;  // of every texture of numbers, in texels; the shaders know it
 
-const SLOW = 45, QUICK = 18;       // ms a frame from which a moving picture gets coarser, or finer again
-const STRIDE = 0.6;                // least factor by which it gets coarser at once
-const COARSEST = 0.4;              // of the screen's pixels, along each side
-const FAILURES = 5;                // frames in a row that may fail before the player gives up
+const SLOW = 45, QUICK = 18;  // ms a frame from which a moving picture gets coarser, or finer again
+const STRIDE = 0.6;  // least factor by which it gets coarser at once
+const COARSEST = 0.4;  // of the screen's pixels, along each side
+const FAILURES = 5;  // frames in a row that may fail before the player gives up
 
 // How many of the screen's pixels a picture gets: fewer while it moves and the device is slow, and no more than the device can draw.
 export class Pixels {

@@ -3,8 +3,8 @@ import { expect } from "./container.js";
 import { isRigid } from "./camera.js";
 
 export const MOTIONS = ["static", "lives", "nodes", "paths"];
-const LINKS = 4;        // nodes that carry a point
-const MOST = 2 ** 24;   // primitives, nodes, keys, frames
+const LINKS = 4;  // nodes that carry a point
+const MOST = 2 ** 24;  // primitives, nodes, keys, frames
 
 const isWhole = (x) => Number.isSafeInteger(x) && x >= 0 && x <= MOST;
 const areNumbers = (list, count) => Array.isArray(list) && list.length === count && list.every(Number.isFinite);

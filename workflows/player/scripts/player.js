@@ -8,9 +8,9 @@ import { startSorter } from "./sorter.js";
 import { Stereo, hasStereo } from "./stereo.js";
 import { Windows } from "./windows.js";
 
-const USUAL_SECONDS = 4;           // of a scene whose times have no seconds
-const REST = 250;                  // ms after which a picture that stands still gets all pixels
-const PATIENCE = 5000;             // ms for which a picture that was asked for waits for a lost graphics device
+const USUAL_SECONDS = 4;  // of a scene whose times have no seconds
+const REST = 250;  // ms after which a picture that stands still gets all pixels
+const PATIENCE = 5000;  // ms for which a picture that was asked for waits for a lost graphics device
 const LOST = "The graphics device was lost; waiting for it.", GONE = "The graphics device was lost and does not come back. Reload the page.";
 
 export class Player {

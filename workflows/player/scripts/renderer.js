@@ -7,9 +7,9 @@ import { keyAt, posesAt, rowAt } from "./motion.js";
 import { shaders } from "./shaders.js";
 import { convexTextures, gaussianTextures, keyTextures } from "./textures.js";
 
-const PARTS = 8;          // of the primitives; after each, tiles that show nothing behind it are closed
-const TILE = 8;           // px
-const FEW = 2000;         // primitives, of which there is no use in parts
+const PARTS = 8;  // of the primitives; after each, tiles that show nothing behind it are closed
+const TILE = 8;  // px
+const FEW = 2000;  // primitives, of which there is no use in parts
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 const DILATION = "0.3", PIXEL_VARIANCE = "0.1";  // px^2, added to the covariance of Gaussians; the second in the antialiased mode
 

@@ -12,7 +12,7 @@ const DIGIT = 12, DIGITS = 1 << DIGIT;
 // positive floats. Equal depths keep their order, so Gaussians stay before convexes.
 export class Sorter {
   constructor(count) {
-    this.first = new Uint32Array(count);   // numbers of those that are drawn
+    this.first = new Uint32Array(count);  // numbers of those that are drawn
     this.keys = new Uint32Array(count);
     this.second = new Uint32Array(count);  // both after the first pass
     this.digits = new Uint32Array(count);

@@ -1,31 +1,31 @@
 // What both kinds of primitive need: where numbers lie in textures, the camera, rotations, spherical harmonics. docs/maths.md has the formulas.
 const int WIDTH = 4096;  // of every texture of numbers, in texels
 
-uniform mat3 uRotation;   // of cam_from_world
-uniform vec3 uEye;        // camera centre, world
-uniform vec4 uLens;       // fx, fy, cx, cy, px
-uniform vec2 uSize;       // of the picture, px
+uniform mat3 uRotation;  // of cam_from_world
+uniform vec3 uEye;  // camera centre, world
+uniform vec4 uLens;  // fx, fy, cx, cy, px
+uniform vec2 uSize;  // of the picture, px
 uniform float uNear;
-uniform vec3 uLight;      // courses of light at this time
-uniform float uFrame;     // fractional frame of the capture, for lives
-uniform float uBetween;   // share of the way from one key of paths to the next
+uniform vec3 uLight;  // courses of light at this time
+uniform float uFrame;  // fractional frame of the capture, for lives
+uniform float uBetween;  // share of the way from one key of paths to the next
 
-uniform int uFirst;       // of the texels: number of the first primitive
+uniform int uFirst;  // of the texels: number of the first primitive
 uniform int uCount;
-uniform int uStill;       // primitives that do not move; they come first
+uniform int uStill;  // primitives that do not move; they come first
 uniform highp sampler2D uSh;
 #ifdef LIGHT
 uniform highp sampler2D uShades;
 #endif
 #ifdef LIVES
-uniform highp sampler2D uLives;    // two texels: middle, 1 / span, velocity (over both), spin
+uniform highp sampler2D uLives;  // two texels: middle, 1 / span, velocity (over both), spin
 #endif
 #ifdef NODES
-uniform highp sampler2D uLinks;    // a texel for each Gaussian, or for each point of a convex
+uniform highp sampler2D uLinks;  // a texel for each Gaussian, or for each point of a convex
 uniform highp sampler2D uWeights;
 #endif
 #ifdef PATHS
-uniform highp sampler2D uKey;      // at the key before: shift, turn, growth of a Gaussian, or the shift of each point of a convex
+uniform highp sampler2D uKey;  // at the key before: shift, turn, growth of a Gaussian, or the shift of each point of a convex
 uniform highp sampler2D uNextKey;  // and at the key after
 #endif
 

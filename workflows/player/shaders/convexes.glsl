@@ -2,19 +2,19 @@
 // each edge. One pass finds the hull, and writes where the convex is and how it looks; the other finds one edge a texel, and writes its line
 // L(pixel) = log2(w exp(tau H)) = a dx + b dy + c, where (dx, dy) is counted from the corner of the convex's box. The part of c that is the
 // same for all edges, log2(CORNERS / perimeter), is added to their sum only.
-uniform highp sampler2D uPoints;   // a texel for each point: xyz
-uniform highp sampler2D uShapes;   // tau, kappa, opacity
+uniform highp sampler2D uPoints;  // a texel for each point: xyz
+uniform highp sampler2D uShapes;  // tau, kappa, opacity
 
-const float DEGENERATE = 1e-5;     // least area of a hull, of its squared extent
-const float FLAT = 1e-6;           // of the squared extent; smaller turns may be rounding and make no corner
+const float DEGENERATE = 1e-5;  // least area of a hull, of its squared extent
+const float FLAT = 1e-6;  // of the squared extent; smaller turns may be rounding and make no corner
 const float PIXEL_EDGE = 0.18204784532536746;  // 0.8 / (2 ln 9): kappa of a sharp edge seen through a pixel's box
 const float WIDE = 6.579736267392906, THIN = 2.705808084277845;  // of the integral of M, docs/maths.md
 const float NO_EDGE = -1e30;
 
-vec3 meanPoint;        // world, before clipping
-vec3 centre;          // camera, after clipping
-vec2 q[CORNERS];      // points in the plane (x/z, y/z), relative to the centre
-vec3 shape;           // tau, kappa, opacity
+vec3 meanPoint;  // world, before clipping
+vec3 centre;  // camera, after clipping
+vec2 q[CORNERS];  // points in the plane (x/z, y/z), relative to the centre
+vec3 shape;  // tau, kappa, opacity
 
 // Twice the area of the triangle of corners a, b, c, which lie at A, B, C: to the bit the same (but for the sign) for every order of them, so
 // that all tests agree.
@@ -90,8 +90,8 @@ bool placed(int i) {  // fills in the points; false if nothing is in front of th
     return true;
 }
 
-float extent, tiny;    // of the points; turns below this may be rounding
-int firsts;           // a bit for each point; 0 where it coincides with one before it
+float extent, tiny;  // of the points; turns below this may be rounding
+int firsts;  // a bit for each point; 0 where it coincides with one before it
 
 bool apartFrom(int k, int m) { return m != k && (firsts >> m & 1) == 1; }
 
@@ -161,9 +161,9 @@ void main() {
 }
 #else
 layout(location = 0) out highp uvec4 oPlace;  // box px: left, top, right, bottom
-layout(location = 1) out highp uvec4 oLook;   // kappa / tau, opacity, colour, what all lines share
+layout(location = 1) out highp uvec4 oLook;  // kappa / tau, opacity, colour, what all lines share
 
-int next[CORNERS];     // the corner after a corner; -1 for points that are none
+int next[CORNERS];  // the corner after a corner; -1 for points that are none
 float area, perimeter;
 
 bool hulled() {  // finds the edges; false if the hull is a point, a line or a sliver

@@ -7,7 +7,7 @@ uniform int uGaussians;
 uniform lowp sampler2D uClosed;  // a texel for each tile
 uniform highp usampler2D uOrder;
 
-out highp vec2 vAt;         // Gaussian: u, v; convex: px from the corner of its box
+out highp vec2 vAt;  // Gaussian: u, v; convex: px from the corner of its box
 flat out highp vec4 vLook;  // colour; log2 opacity, or opacity
 #ifdef CONVEXES
 flat out highp float vRho;  // convex: kappa / tau

@@ -1,11 +1,11 @@
 // Projects one Gaussian a texel (EWA splatting as in rasterizer/math/gaussian.h): where its picture is, and the two rows of numbers that
 // give alpha at a pixel as 2^(log2 opacity - u^2 - v^2) with u = f.x dx + f.y dy, v = f.z dy.
-uniform highp sampler2D uMeans;   // xyz, opacity
-uniform highp sampler2D uTurns;   // unit quaternion w x y z
+uniform highp sampler2D uMeans;  // xyz, opacity
+uniform highp sampler2D uTurns;  // unit quaternion w x y z
 uniform highp sampler2D uScales;  // standard deviations
 
 layout(location = 0) out highp uvec4 oPlace;  // centre px, f.xy
-layout(location = 1) out highp uvec4 oLook;   // f.z, log2 opacity, colour
+layout(location = 1) out highp uvec4 oLook;  // f.z, log2 opacity, colour
 
 void main() {
     oPlace = oLook = uvec4(0u);
