@@ -6,7 +6,7 @@ import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.formats.videos import clocks
-from e4dgs.stages.captures.video.probe import probe
+from e4dgs.stages.captures.video.survey import survey
 from e4dgs.stages.captures.video.timecode import apart, seconds_of, shifts
 from factory.writers import write_mp4
 
@@ -79,7 +79,7 @@ def coded(file, code, frames=50, sound=None):
 def test_a_recorded_track_aligns_videos_without_sound(tmp_path):
     coded(tmp_path / "a.mp4", "09:59:59:20")
     coded(tmp_path / "b.mov", "10:00:00:10")
-    assert probe(tmp_path, "b.mov").timecode == "10:00:00:10"
+    assert survey(tmp_path, "b.mov").timecode == "10:00:00:10"
     capture = recognise(tmp_path)
     assert "aligned by their timecodes (b.mov +0.600 s)" in capture.notes[0]
     assert [video.taken[0] for video in capture.videos] == [15, 0]
@@ -91,7 +91,7 @@ def test_sound_goes_before_timecodes_and_says_where_they_differ(tmp_path, monkey
 
     for name, code in (("a.mp4", "10:00:00:00"), ("b.mp4", "10:00:00:10")):
         coded(tmp_path / name, code)
-    headers = {name: probe(tmp_path, name) for name in ("a.mp4", "b.mp4")}
+    headers = {name: survey(tmp_path, name) for name in ("a.mp4", "b.mp4")}
     for heard, doubts in ((0.4, 0), (0.4 + 0.059, 0), (0.4 + 0.061, 1)):  # one frame and a half is 0.06 s
         monkeypatch.setattr(videos, "_by_sound", lambda *of, heard=heard: [0.0, heard])
         found, how, doubt = clocks(tmp_path, headers, None)

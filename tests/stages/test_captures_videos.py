@@ -13,7 +13,7 @@ from e4dgs.stages.captures.formats.videos import clocks
 from e4dgs.stages.captures.reading import TEST
 from e4dgs.stages.captures.sound import cache as heard
 from e4dgs.stages.captures.sound import onsets as sound
-from e4dgs.stages.captures.video.probe import probe
+from e4dgs.stages.captures.video.survey import survey
 from factory.writers import write_mp4
 from tiny_videos import encode, levels
 
@@ -27,7 +27,7 @@ def grey_video(file, frames, fps, sound=None, begin=0.0):
 
 
 def headers_of(root, letters):
-    return {f"{letter}.mp4": probe(root, f"{letter}.mp4") for letter in letters}
+    return {f"{letter}.mp4": survey(root, f"{letter}.mp4") for letter in letters}
 
 
 def event(seconds, seed=0):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.captures.formats.video import decode, probe
+from e4dgs.stages.captures.formats.video import decode, survey
 from e4dgs.stages.captures.sound import onsets as sound
 from e4dgs.stages.captures.video.hidden import is_hidden
 from factory.writers import write_mp4
@@ -295,4 +295,4 @@ def test_sound_is_timed_by_the_video_and_not_by_a_cover(tmp_path):
     with_cover(tmp_path / "b.mp4")
     first, second = (sound.onsets(tmp_path, name) for name in ("a.mp4", "b.mp4"))
     assert first[1] == second[1] and (first[0] == second[0]).all()
-    assert probe(tmp_path, "b.mp4").seconds == probe(tmp_path, "a.mp4").seconds
+    assert survey(tmp_path, "b.mp4").seconds == survey(tmp_path, "a.mp4").seconds

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.captures.formats.video import decode, probe
+from e4dgs.stages.captures.formats.video import decode, survey
 from e4dgs.stages.captures.video.rates import rig_told
 from e4dgs.stages.captures.video.times import WRAP, frame_rate, picture_times
 from tiny_videos import encode, levels, remux
@@ -129,7 +129,7 @@ def test_one_doubled_stamp_of_a_file_changes_one_time(tmp_path):
     )
     shown = [p.mean() for p in decode(tmp_path, capture.videos[0], 64, 48)]
     np.testing.assert_allclose(shown, [20 + 10 * k for k in range(20)], atol=2)
-    assert probe(tmp_path, "clip.mkv").fps == pytest.approx(19 / (PHONE[-1] / 1000), rel=1e-3)
+    assert survey(tmp_path, "clip.mkv").fps == pytest.approx(19 / (PHONE[-1] / 1000), rel=1e-3)
 
 
 def test_a_doubled_stamp_costs_a_folder_of_videos_no_time(tmp_path):
@@ -159,7 +159,7 @@ def test_a_rate_for_frames_with_times_is_refused(video_capture, videos_capture, 
 def test_cameras_of_a_rig_at_two_rates_are_warned_of(n3v_capture, tmp_path):
     for name, rate in (("cam00.mp4", 10), ("cam01.mp4", 20), ("cam02.mp4", 10)):
         encode(tmp_path / name, levels(8), rate=rate)
-    headers = {name: probe(tmp_path, name) for name in ("cam00.mp4", "cam01.mp4", "cam02.mp4")}
+    headers = {name: survey(tmp_path, name) for name in ("cam00.mp4", "cam01.mp4", "cam02.mp4")}
     (line,) = rig_told(headers)
     assert line.startswith("cam01.mp4: 8 frames in 0.35 s, but cam00.mp4 has as many in 0.70 s; ")
     assert rig_told({name: headers[name] for name in ("cam00.mp4", "cam02.mp4")}) == ()

@@ -108,7 +108,7 @@ def _add_rest(root: Path, reading: Reading, rows: str | None, modelled: bool, ca
 
 
 def _from_videos(root: Path, cameras: list[str], options: Options) -> Reading:
-    headers = {name: video.probe(root, name) for name in cameras}
+    headers = {name: video.survey(root, name) for name in cameras}
     _same_counts({name: len(h.seconds) for name, h in headers.items()})
     first = headers[cameras[0]]
     sizes = {name: (header.width, header.height) for name, header in headers.items()}

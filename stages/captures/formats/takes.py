@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ....pipeline import CaptureError
 from ..video import timecode
-from ..video.probe import Header
+from ..video.survey import Survey
 
 # GoPro: GX010034 and GX020034, before HERO6 GOPR0034 and GP010034; the last four digits count the recordings
 _CHAPTER = re.compile(r"(?:(G[HXLS])(\d\d)|(G)(?:OPR|P(\d\d)))(\d{4})", re.IGNORECASE)
@@ -23,7 +23,7 @@ _CLOCK = 2.0  # s; dates of files are whole seconds, and cameras write them a li
 _SAME_RATE = 0.001
 
 
-def smaller(root: Path, headers: Mapping[str, Header]) -> dict[str, str]:
+def smaller(root: Path, headers: Mapping[str, Survey]) -> dict[str, str]:
     """Those videos that are the clip of another one, and that one: the larger picture stays, of two equal ones the larger file. Their names
     are the same but for the suffix and for words as `_proxy`, and their numbers of frames are within 1 %."""
     clips: dict[str, list[str]] = {}
@@ -44,7 +44,7 @@ def smaller(root: Path, headers: Mapping[str, Header]) -> dict[str, str]:
     return found
 
 
-def told(found: Mapping[str, str], headers: Mapping[str, Header]) -> tuple[str, ...]:
+def told(found: Mapping[str, str], headers: Mapping[str, Survey]) -> tuple[str, ...]:
     """A line about each video that `smaller` has found."""
     return tuple(
         f"{name} ({_size(headers[name])}) is left out: by its name and its frames it is the same clip as {other} ({_size(headers[other])})"
@@ -53,7 +53,7 @@ def told(found: Mapping[str, str], headers: Mapping[str, Header]) -> tuple[str, 
     )
 
 
-def _size(header: Header) -> str:
+def _size(header: Survey) -> str:
     return f"{header.width}x{header.height}"
 
 
@@ -74,7 +74,7 @@ def refuse_chapters(root: Path, names: Sequence[str]) -> None:
         )
 
 
-def refuse_parts(root: Path, headers: Mapping[str, Header]) -> None:
+def refuse_parts(root: Path, headers: Mapping[str, Survey]) -> None:
     """Raises CaptureError, as `refuse_chapters`, if videos of one size and rate begin where another one ends, by the dates in the files."""
     gaps = _gaps(headers)
     if gaps is None or max(gap for _, gap in gaps) > _CLOCK:
@@ -86,7 +86,7 @@ def refuse_parts(root: Path, headers: Mapping[str, Header]) -> None:
     )
 
 
-def follow_each_other(headers: Mapping[str, Header]) -> tuple[str, ...]:
+def follow_each_other(headers: Mapping[str, Survey]) -> tuple[str, ...]:
     """A line if by the timecodes, or by the dates in the files, one video begins when another one has ended. It is no more than a hint:
     clocks of cameras may be wrong."""
     names, videos = list(headers), list(headers.values())
@@ -102,7 +102,7 @@ def follow_each_other(headers: Mapping[str, Header]) -> tuple[str, ...]:
     return (f"by {seen}, so they may be parts of one recording: if so, join them: {_JOIN}; frames.sync=frames says that they are cameras",)
 
 
-def _gaps(headers: Mapping[str, Header]) -> list[tuple[str, float]] | None:
+def _gaps(headers: Mapping[str, Survey]) -> list[tuple[str, float]] | None:
     """The videos in the order in which they were recorded, and the seconds that each begins after the end of the one before (0 for the
     first); None unless all have a date, one size and one rate, and none begins before another one has ended.
 
@@ -132,5 +132,5 @@ def _gaps(headers: Mapping[str, Header]) -> list[tuple[str, float]] | None:
     return list(zip(order, best or [], strict=True)) if known else None
 
 
-def _date(header: Header) -> str:
+def _date(header: Survey) -> str:
     return datetime.fromtimestamp(header.created or 0, UTC).strftime("%Y-%m-%d %H:%M:%S")

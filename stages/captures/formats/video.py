@@ -12,9 +12,10 @@ from ..listing.beside import alone
 from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
 from ..reading import Options, Reading, Shot, Video
 from ..video.decode import decode
-from ..video.probe import Header, probe, told_together
+from ..video.survey import survey
+from ..video.together import told_together
 
-__all__ = ["MOST_FRAMES", "Header", "choose", "decode", "detect", "probe", "read", "refuse_one"]
+__all__ = ["MOST_FRAMES", "choose", "decode", "detect", "read", "refuse_one", "survey"]
 
 MOST_FRAMES, MOST_OF_MOVING = 200, 600  # of a camera; of a clip in which things move, as they are a blur between frames far apart
 
@@ -30,7 +31,7 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{root}: no video here, or several; pass the one video file")
     base = root if root.is_dir() else root.parent
     checks.resolve_inside(base, path.name, path.name)
-    header = probe(base, path.name)
+    header = survey(base, path.name)
     total = len(header.seconds)
     taken = choose(total, options, MOST_FRAMES if options.static else MOST_OF_MOVING)
     if total < 2:

@@ -21,7 +21,8 @@ from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
 from ..sound import onsets
 from ..sound.cache import onsets_of
 from ..video import timecode
-from ..video.probe import told_together
+from ..video.survey import Survey
+from ..video.together import told_together
 from . import takes, video
 
 _POSES = "poses_bounds.npy"  # if this file exists, the capture belongs to n3v, whatever the names of the videos
@@ -48,7 +49,7 @@ def read(root: Path, options: Options) -> Reading:
     meant = options.format == "videos" or options.sync is not None  # the user has said that they are cameras
     if not meant:
         takes.refuse_chapters(root, names)
-    probed = {name: video.probe(root, name) for name in names}
+    probed = {name: video.survey(root, name) for name in names}
     left_out = takes.smaller(root, probed)
     headers = {name: header for name, header in probed.items() if name not in left_out}
     names = list(headers)
@@ -91,7 +92,7 @@ def read(root: Path, options: Options) -> Reading:
 
 
 def clocks(
-    root: Path, headers: Mapping[str, video.Header], sync: str | None, heard_before: Path | None = None
+    root: Path, headers: Mapping[str, Survey], sync: str | None, heard_before: Path | None = None
 ) -> tuple[list[float], str, tuple[str, ...]]:
     """Seconds to add to each video's own times to bring them to one clock, how they were found, and a line if timecodes say otherwise.
 
@@ -189,7 +190,7 @@ def _told(
     shifts: Sequence[float],
     times: np.ndarray,
     taken: Sequence[tuple[int, ...]],
-    headers: dict[str, video.Header],
+    headers: dict[str, Survey],
     how: str,
     late: float,
 ) -> str:

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .probe import Header, told_together
+from .survey import Survey
+from .together import told_together
 
 _APART = 0.5  # frames by which two clocks may differ at the end
 
 
-def rig_told(headers: Mapping[str, Header]) -> tuple[str, ...]:
+def rig_told(headers: Mapping[str, Survey]) -> tuple[str, ...]:
     """The lines about the videos of a rig, and one that warns if equal frame numbers are not equal times by the videos' own clocks."""
     first, one = next(iter(headers.items()))
     gap = float(np.median(np.diff(one.seconds))) if len(one.seconds) > 1 else 0.0

@@ -40,9 +40,9 @@ _FIELDS = 0.8  # fewer pictures than this per packet: packets are fields
 class Survey:
     """seconds: time of each picture in the order shown, the first at 0. raw: their time stamps in the file, ticks. by_order: pictures are
     to be counted, because their stamps say nothing. pixel: width over height of a pixel, if the container says. parity: of the fields of
-    interlaced video, None for whole frames. late: seconds by which
-    the first picture comes after the start of the track. timecode: of the start of the track, as it is written there. created: when the
-    file was made, in seconds of the clock of Unix, if it says. notes: a line for every repair and for everything that is not read."""
+    interlaced video, None for whole frames. late: seconds by which the first picture comes after the start of the track. timecode: of that
+    start. created: when the file was made, in seconds of the clock of Unix, if it says; some cameras write the end of the recording. notes:
+    a line for every repair and for everything that is not read. width, height: as shown."""
 
     shape: Shape
     seconds: tuple[float, ...]
@@ -56,6 +56,14 @@ class Survey:
     timecode: str | None
     created: float | None
     notes: tuple[str, ...]
+
+    @property
+    def width(self) -> int:
+        return self.shape.shown[0]
+
+    @property
+    def height(self) -> int:
+        return self.shape.shown[1]
 
 
 @dataclass
@@ -74,7 +82,7 @@ class _First:
 
 
 def survey(root: Path, name: str) -> Survey:
-    """Decodes the first picture alone, or some seconds if it is flagged as interlaced. Raises CaptureError for broken files."""
+    """Reads all packets, and decodes the first picture alone, or some seconds of interlaced video. Raises CaptureError for broken files."""
     try:
         state = (root / name).stat()
     except OSError as error:
