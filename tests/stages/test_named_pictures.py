@@ -240,6 +240,27 @@ def test_without_any_held_out_picture_every_eighth_frame_is_held_out(dnerf_captu
     assert recognise(root).facts["splits"] == {"train": 10, "val": 0, "test": 2}
 
 
+def test_so_is_the_held_out_camera_of_panoptic(panoptic_capture, tmp_path):
+    """As where only the training cameras were downloaded; a picture of camera 1 does not stand in for that of camera 0."""
+    root = shutil.copytree(panoptic_capture.root, tmp_path / "capture")
+    whole = recognise(root)
+    names = [name for row in json.loads((root / "test_meta.json").read_text())["fn"] for name in row]
+    held = np.flatnonzero(whole.split == 2)
+    assert len(names) == len(held) == 4
+    (root / "ims" / names[0]).unlink()
+    assert recognise(root).facts["splits"] == {"train": 12, "val": 0, "test": 3}
+    for name in names[1:]:
+        (root / "ims" / name).unlink()
+    capture = recognise(root)
+    assert capture.facts["splits"] == {"train": 10, "val": 0, "test": 2} and capture.facts["cameras"] == whole.facts["cameras"] - 1
+    np.testing.assert_array_equal(capture.cam_from_world, np.delete(whole.cam_from_world, held, 0))
+    told = "none of the 4 pictures that test_meta.json names is there (first '0/000000.jpg'), so this file is not used"
+    assert sum(note.startswith(told) for note in capture.notes) == 1 and "test_meta.json" in capture.files
+    shutil.rmtree(root / "ims")
+    with pytest.raises(CaptureError, match=r"train_meta\.json: time 0, camera 0: fn: no image 'ims/1/000000\.jpg'.*12 of 12 pictures"):
+        recognise(root)
+
+
 def test_a_split_whose_pictures_train_is_not_left_out(dnerf_capture, tmp_path):
     """Neither takes train/ the pictures of test/, nor goes it without its own; and half of a file is not none of it."""
     root = unrendered(dnerf_capture, tmp_path, "train")

@@ -8,14 +8,14 @@ be at most half a pixel of its own resolution.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import load_array
-from ..posed.finding import find_pictures
+from ..posed.finding import find_pictures_of_splits
 from ..posed.sizes import scale_of
 from ..reading import TEST, TRAIN, Options, Reading, Shot
 from ..rigs import all_fixed
@@ -29,19 +29,17 @@ def detect(root: Path) -> str | None:
 
 
 def read(root: Path, options: Options) -> Reading:
-    shots: list[Shot] = []
     sizes: list[tuple[float, float]] = []
-    sources = []
-    notes: tuple[str, ...] = ()
-    for split, file in _FILES:
+    entries: dict[str, list[_Entry]] = {}
+    for _, file in _FILES:
         if not (root / file).is_file():
             raise CaptureError(f"{file}: missing beside train_meta.json; copy it into {root}")
         data = checks.read_json(root, file)
-        sources.append(file)
         sizes.append((checks.number(data.get("w"), f"{file}: w", 1, 1e6), checks.number(data.get("h"), f"{file}: h", 1, 1e6)))
-        own, said = _shots(root, file, data, split)
-        shots += own
-        notes += said
+        entries[file] = _entries(file, data)
+    names = {file: {i: (one.name, f"{one.where}: fn") for i, one in enumerate(own)} for file, own in entries.items()}
+    found = find_pictures_of_splits(root, _FILES[0][1], names, "pictures", "ims/")
+    shots = [_shot(root, entries[file][i], image, split) for split, file in _FILES for i, image in found[file].paths.items()]
     shots.sort(key=lambda s: (s.camera, s.time))
     headers, alpha = checks.image_headers(root, [str(s.file) for s in shots])
     for shot, (width, height) in zip(shots, headers, strict=True):
@@ -55,23 +53,32 @@ def read(root: Path, options: Options) -> Reading:
         why="train_meta.json + test_meta.json",
         shots=shots,
         alpha=alpha,
-        has_split=True,
+        has_split=bool(found[_FILES[1][1]].paths),
         fixed_cameras=all_fixed(shots),
-        sources=(*sources, *([_POINTS] if points is not None else [])),
+        sources=(*found, *([_POINTS] if points is not None else [])),
         points=points,
         point_colors=colors,
-        notes=notes,
+        notes=tuple(note for one in found.values() for note in one.notes),
     )
 
 
-def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> tuple[list[Shot], tuple[str, ...]]:
-    """The frames of one file, without those whose picture is missing, and notes."""
+class _Entry(NamedTuple):
+    """A frame as its file has it. where: for messages."""
+
+    time: int
+    where: str
+    name: str
+    K: Any
+    pose: Any
+    camera: Any
+
+
+def _entries(file: str, data: dict[str, Any]) -> list[_Entry]:
     table = {key: checks.items(data.get(key), f"{file}: {key}") for key in ("k", "w2c", "fn", "cam_id")}
     lengths = {key: len(value) for key, value in table.items()}
     if len(set(lengths.values())) != 1:
         raise CaptureError(f"{file}: k, w2c, fn and cam_id differ in their number of times ({lengths}); the file is damaged")
-    entries: list[tuple[int, str, Any, Any, Any]] = []
-    names: dict[int, tuple[str, str]] = {}
+    entries = []
     for t in range(lengths["fn"]):
         row = {key: checks.items(value[t], f"{file}: {key}[{t}]") for key, value in table.items()}
         counts = {key: len(value) for key, value in row.items()}
@@ -79,28 +86,26 @@ def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> tuple[lis
             raise CaptureError(f"{file}: time {t}: k, w2c, fn and cam_id differ in their number of cameras ({counts}); the file is damaged")
         for c in range(counts["fn"]):
             where = f"{file}: time {t}, camera {c}"
-            names[len(entries)] = checks.text(row["fn"][c], f"{where}: fn"), f"{where}: fn"
-            entries.append((t, where, row["k"][c], row["w2c"][c], row["cam_id"][c]))
-    found = find_pictures(root, names, file, "pictures", "ims/")
-    shots = []
-    for i, image in found.paths.items():
-        t, where, raw, pose, camera = entries[i]
-        K = checks.matrix(raw, f"{where}: k", ((3, 3),))
-        mask = ("seg/" + names[i][0]).rsplit(".", 1)[0] + ".png"
-        shots.append(
-            Shot(
-                name=image,
-                camera=checks.integer(camera, f"{where}: cam_id", 0, 10**6),
-                time=float(t),
-                size=(0, 0),  # set by `read`, which reads all image headers together
-                split=split,
-                file=image,
-                mask=mask if (root / mask).is_file() else None,
-                K=checks.intrinsics(K[0, 0], K[1, 1], K[0, 2], K[1, 2], f"{where}: k", skew=K[0, 1]),
-                cam_from_world=checks.rigid(checks.matrix(pose, f"{where}: w2c", ((4, 4), (3, 4))), f"{where}: w2c"),
-            )
-        )
-    return shots, found.notes
+            name = checks.text(row["fn"][c], f"{where}: fn")
+            entries.append(_Entry(t, where, name, row["k"][c], row["w2c"][c], row["cam_id"][c]))
+    return entries
+
+
+def _shot(root: Path, entry: _Entry, image: str, split: int) -> Shot:
+    where = entry.where
+    K = checks.matrix(entry.K, f"{where}: k", ((3, 3),))
+    mask = ("seg/" + entry.name).rsplit(".", 1)[0] + ".png"
+    return Shot(
+        name=image,
+        camera=checks.integer(entry.camera, f"{where}: cam_id", 0, 10**6),
+        time=float(entry.time),
+        size=(0, 0),  # set by `read`, which reads all image headers together
+        split=split,
+        file=image,
+        mask=mask if (root / mask).is_file() else None,
+        K=checks.intrinsics(K[0, 0], K[1, 1], K[0, 2], K[1, 2], f"{where}: k", skew=K[0, 1]),
+        cam_from_world=checks.rigid(checks.matrix(entry.pose, f"{where}: w2c", ((4, 4), (3, 4))), f"{where}: w2c"),
+    )
 
 
 def _points(root: Path) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -38,20 +38,17 @@ def find_pictures(root: Path, names: Mapping[int, tuple[str, str]], file: str, w
     in a note. Entries without a picture are left out and counted. Raises CaptureError if these are more than half, and for paths that leave
     the capture.
     """
-    search = _Search(root, dict(names), beside)
-    search.as_named()
-    search.by_ends_of_absolute_paths()
-    search.in_another_spelling()
-    search.by_name_alone()
-    return search.result(file, what)
+    return find_pictures_of_splits(root, file, {file: names}, what, beside)[file]
 
 
-def find_pictures_of_splits(root: Path, train: str, names: Mapping[str, Mapping[int, tuple[str, str]]]) -> dict[str, Found]:
+def find_pictures_of_splits(
+    root: Path, train: str, names: Mapping[str, Mapping[int, tuple[str, str]]], what: str = "frames", beside: str = ""
+) -> dict[str, Found]:
     """As `find_pictures`, for several files by their names, of which all but ``train`` name pictures that are held out.
 
     A picture of one file is not taken for another's of the same last name. A file of held-out pictures of which none exists, as some
     programs write before anybody renders them, has no paths and a note."""
-    searches = {file: _Search(root, dict(own), held_out=file != train) for file, own in names.items()}
+    searches = {file: _Search(root, dict(own), beside, file != train) for file, own in names.items()}
 
     def share() -> None:
         for search in searches.values():
@@ -66,15 +63,15 @@ def find_pictures_of_splits(root: Path, train: str, names: Mapping[str, Mapping[
     for search in searches.values():
         share()
         search.by_name_alone()
-    return {file: search.result(file, "frames") for file, search in searches.items()}
+    return {file: search.result(file, what) for file, search in searches.items()}
 
 
 @dataclass
 class _Search:
     root: Path
     names: dict[int, tuple[str, str]]
-    beside: str = ""
-    held_out: bool = False
+    beside: str
+    held_out: bool
     others: set[str] = field(default_factory=set)  # pictures that are not to be taken by their last names
     found: dict[int, str] = field(default_factory=dict)
     gone: list[int] = field(default_factory=list)
