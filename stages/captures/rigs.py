@@ -14,7 +14,7 @@ import numpy as np
 from . import checks
 from .listing.kinds import role_of
 from .listing.numbers import follow_numbers, places, set_times, two_numbers, words
-from .posed.time_folders import folders_are_times, named_as_times
+from .posed.time_folders import folders_are_times, frame_of, named_as_cameras, named_as_times
 from .reading import Shot
 
 
@@ -56,7 +56,7 @@ def place_untimed(
         swapped, told = folders_are_times(shots)
         if swapped and (told is None or rig.places is not None):  # poses say it also of folders from which pictures are missing
             for shot, file in zip(shots, files, strict=True):
-                shot.camera = checks.natural_key(_frame(file))
+                shot.camera = checks.natural_key(frame_of(file))
             clock, skipped = _clock([posixpath.dirname(file) for file in files])
             set_times(shots, clock, max(clock) >= len(set(clock)), fps)
             return Placed(True, tuple(line for line in (told, skipped) if line), rig.others)
@@ -85,6 +85,8 @@ def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -
     """Whether `images`, paths relative to `root`, lie in several folders that contain files of the same names: `cam0/0001.jpg` and
     `cam1/0001.jpg` show the same time.
 
+    One picture each in folders that are named as cameras show one time, whatever their names.
+
     The folders are compared as well as `images`, from which structure from motion may have dropped some frames of some cameras. One of
     the two must agree, so a picture too many in one folder does no harm if it has no pose. deleted: pictures that have a pose and are no
     longer there; they count as if they were, so that the rig remains one."""
@@ -92,19 +94,21 @@ def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -
     if len(folders) < 2:
         return Rig()
     listed = {folder: pictures_in(root, folder) for folder in folders}
-    frames = {folder: {_frame(name) for name in names} for folder, names in listed.items()}
+    frames = {folder: {frame_of(name) for name in names} for folder, names in listed.items()}
     posed: dict[str, set[str]] = {folder: set() for folder in folders}
     for name in (*images, *(name for name in deleted if posixpath.dirname(name) in frames)):
-        posed[posixpath.dirname(name)].add(_frame(name))
-        frames[posixpath.dirname(name)].add(_frame(name))
+        posed[posixpath.dirname(name)].add(frame_of(name))
+        frames[posixpath.dirname(name)].add(frame_of(name))
     others = tuple(sorted({name for names in listed.values() for name in names} - set(images)))
     suffix = posixpath.splitext(images[0])[1]
     shared = checks.in_order(frame + suffix for frame in set.intersection(*frames.values()))
     clock, skipped = places(shared)
-    number = dict(zip(map(_frame, shared), clock, strict=True))
+    number = dict(zip(map(frame_of, shared), clock, strict=True))
     same = any(all(names[folder] == names[folders[0]] for folder in folders) for names in (frames, posed))
-    if same and all(_frame(name) in number for name in images):
-        return Rig([(posixpath.dirname(name), number[_frame(name)]) for name in images], clock[-1] >= len(clock), skipped, others)
+    if same and all(frame_of(name) in number for name in images):
+        return Rig([(posixpath.dirname(name), number[frame_of(name)]) for name in images], clock[-1] >= len(clock), skipped, others)
+    if named_as_cameras(folders) and all(len(names) == 1 for names in posed.values()):
+        return Rig([(posixpath.dirname(name), 0) for name in images], others=others)
     first = frames[folders[0]]
     other = next((folder for folder in folders if frames[folder] != first), None)
     counts = "" if other is None else f" ({len(first)} in {folders[0]}, {len(frames[other])} in {other})"
@@ -169,15 +173,11 @@ def pictures_in(root: Path, folder: str) -> list[str]:
     return [name for name in names if (root / name).is_file()]
 
 
-def _frame(name: str) -> str:
-    return posixpath.splitext(posixpath.basename(name))[0]
-
-
 def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
     """What is missing where several folders have files of the same names, as those of a rig do, and no file gives poses; None elsewhere."""
     named: dict[str, frozenset[str]] = {}
     for folder in (folder for folder in folders if role_of(posixpath.basename(folder)) is None):  # depth, masks: of the same cameras
-        pictures = frozenset(_frame(name) for name in pictures_in(root, folder))
+        pictures = frozenset(frame_of(name) for name in pictures_in(root, folder))
         if pictures:
             named[folder] = pictures
     if any(name.endswith(".pose.txt") for folder in named for name in checks.list_folder(root / folder)):

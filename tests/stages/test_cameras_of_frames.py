@@ -70,7 +70,11 @@ def test_a_rig_whose_names_skip_numbers_has_gaps_in_time(tmp_path):
 
 @pytest.mark.parametrize("layout", ["transforms", "colmap"])
 @pytest.mark.parametrize(
-    "name", ["{t:04d}/cam{c}.png", "{t:04d}/{c:02d}.png", "frame{t:03d}/image_{c}.png", "{c:02d}/{t:04d}.png", "cam{c}/{t}.png"]
+    "name",
+    [
+        *("{t:04d}/cam{c}.png", "{t:04d}/{c:02d}.png", "frame{t:03d}/image_{c}.png", "{c:02d}/{t:04d}.png", "cam{c}/{t}.png"),
+        *("cam{c}/cam{c}_{t:04d}.png", "{t:04d}/{t:04d}_{c}.png"),  # names that begin with that of their folder
+    ],
 )
 def test_poses_say_whether_folders_are_cameras_or_times(tmp_path, layout, name):
     """NVIDIA's mv_images/00000/cam01.jpg, and the usual cam01/00000.jpg."""
@@ -127,6 +131,22 @@ def test_folders_of_frames_without_times_are_the_cameras_of_a_rig(tmp_path):
     capture = recognise(transforms(tmp_path, frames))
     assert (capture.facts["cameras"], capture.facts["times"], capture.facts["fixed_cameras"]) == (3, 4, True)
     np.testing.assert_allclose(capture.time, [0, 1 / 3, 2 / 3, 1] * 3)
+
+
+@pytest.mark.parametrize("layout", ["transforms", "colmap"])
+@pytest.mark.parametrize("name", ["cam{c:02d}/0100.png", "view_{c}/{c}.png", "rig/cam{c}/IMG_{n}.png", "a{c}/a{c}_7.png", "b{c}/{n}.png"])
+def test_one_picture_of_each_camera_shows_one_time(tmp_path, layout, name):
+    """Whatever the names of the pictures where the folders are named as cameras; elsewhere they have to be alike."""
+    names = [name.format(c=c, n=137 * c + 5) for c in range(5)]
+    if layout == "colmap":
+        colmap(tmp_path, names, [float(c) for c in range(5)])
+    else:
+        transforms(tmp_path, [{"file_path": f"images/{file}", "transform_matrix": at(c)} for c, file in enumerate(names)])
+    capture = recognise(tmp_path)
+    rig = not name.startswith("b")
+    assert (capture.facts["cameras"], capture.facts["times"], capture.facts["static"]) == ((5, 1, True) if rig else (1, 5, False))
+    assert any("read as one camera over time" in note for note in capture.notes) is not rig
+    assert not any("frames share times" in note for note in capture.notes)
 
 
 @pytest.mark.parametrize("name", ["cam{c}_{i:04d}.png", "frame_{i:05d}_{c}.png"])

@@ -75,7 +75,7 @@ def read(root: Path, options: Options) -> Reading:
     if not fixed and times is not None:
         moving_cameras(shots)
     several = len({shot.camera for shot in shots})
-    if not fixed and several == len(shots) > 1:
+    if times is not None and not fixed and several == len(shots) > 1:
         said += (
             "frames share times, no camera stands still and folders do not tell them apart, so each frame counts as a camera of its own "
             "and no optical flow is measured",

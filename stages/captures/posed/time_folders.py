@@ -18,7 +18,7 @@ def folders_are_times(shots: Sequence[Shot]) -> tuple[bool, str | None]:
     """Whether the folders of ``shots``, whose files lie in several, are times, and the name of a file is its camera. And a line for people
     where the poses do not say so: cameras that all move, or that all share a place."""
     files = [shot.file or shot.name for shot in shots]
-    folders, names = [posixpath.dirname(file) for file in files], [_stem(file) for file in files]
+    folders, names = [posixpath.dirname(file) for file in files], [frame_of(file) for file in files]
     distinct = sorted(set(folders))
     if not _are_numbered(distinct):
         return False, None
@@ -46,10 +46,14 @@ def named_as_times(folders: Sequence[str], names: Sequence[str]) -> bool:
     )
 
 
+def named_as_cameras(folders: Sequence[str]) -> bool:
+    return all(_CAMERA.fullmatch(posixpath.basename(folder).lower()) for folder in folders)
+
+
 def _are_numbered(folders: Sequence[str]) -> bool:
     """Whether the names of folders differ in nothing but numbers, and do not say that these are cameras."""
     parts = {tuple(re.split(r"\d+", folder)) for folder in folders}
-    return len(parts) == 1 and len(next(iter(parts))) > 1 and not _CAMERA.fullmatch(posixpath.basename(folders[0]).lower())
+    return len(parts) == 1 and len(next(iter(parts))) > 1 and not named_as_cameras(folders[:1])
 
 
 def _fixed(shots: Sequence[Shot], keys: Sequence[str]) -> bool:
@@ -66,5 +70,7 @@ def _fixed(shots: Sequence[Shot], keys: Sequence[str]) -> bool:
     return 2 * len(several) > len(first)
 
 
-def _stem(file: str) -> str:
-    return posixpath.splitext(posixpath.basename(file))[0]
+def frame_of(name: str) -> str:
+    """Without the name of the folder: `cam1/cam1_0007.png` is of the time of `cam2/cam2_0007.png`."""
+    folder, file = posixpath.split(name)
+    return posixpath.splitext(file)[0].removeprefix(f"{posixpath.basename(folder)}_")
