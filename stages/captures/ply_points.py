@@ -16,6 +16,7 @@ from ...pipeline import CaptureError
 from ...vision.clouds import SCANS, read_scan, thinned
 from . import checks
 from .arrays import MOST_POINTS
+from .reading import Reading
 
 _TYPES = {
     "char": "i1",
@@ -105,11 +106,14 @@ def _read_ply(path: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1), _colours(table, dict(fields), count, name)
 
 
-def told_grey(name: str, colours: np.ndarray) -> tuple[str, ...]:
-    """A line if the points of a PLY file came without colours."""
-    if not len(colours) or name.lower().endswith(tuple(SCANS)) or (colours != _GREY).any():
-        return ()
-    return (f"{name} has no colours under names that are known (red, green, blue): its points are grey",)
+def add_points(reading: Reading, root: Path, name: str) -> None:
+    """Gives ``reading`` the points of `root/name`, if there are any, and a line if those of a PLY file came without colours."""
+    points, colours = read_points(root, name)
+    reading.sources += (name,)
+    if len(points):
+        reading.points, reading.point_colors = points, colours
+        if not name.lower().endswith(tuple(SCANS)) and (colours == _GREY).all():
+            reading.notes += (f"{name} has no colours under names that are known (red, green, blue): its points are grey",)
 
 
 def _colours(table: dict[str, np.ndarray], types: dict[str, str], count: int, name: str) -> np.ndarray:

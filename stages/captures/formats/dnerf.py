@@ -12,11 +12,10 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks, keep_masks
-from ..ply_points import read_points, told_grey
 from ..reading import SPLITS, TRAIN, Options, Reading, Shot
 from . import transforms
 from .cameras_of_times import fixed_cameras
-from .frame_files import cloud_of, depth_of, lost_depth, mask_of
+from .frame_files import add_cloud, lost_depth, shot_of
 
 _TRAIN = "transforms_train.json"
 # Median step between train cameras consecutive in time, divided by the median distance of any two: 0.03 for a walked path of 90
@@ -52,23 +51,8 @@ def read(root: Path, options: Options) -> Reading:
 
     shots, said = [], list[str]()
     for number, ((split, file, data, i, frame), path, time, size) in enumerate(zip(entries, paths, times, sizes, strict=True)):
-        lens = transforms.lens(frame, data, f"{file}: frame {i}", root, path, size, said)
-        shots.append(
-            Shot(
-                name=path,
-                camera=(1, number),
-                time=time,
-                size=size,
-                split=split,
-                file=path,
-                keep=mask_of(root, frame, f"{file}: frame {i}"),
-                depth=depth_of(root, frame, f"{file}: frame {i}"),
-                K=lens.K,
-                cam_from_world=transforms.pose(frame, f"{file}: frame {i}"),
-                distortion=lens.distortion,
-                fisheye=lens.fisheye,
-            )
-        )
+        where = f"{file}: frame {i}"
+        shots.append(shot_of(root, frame, data, where, path, size, said, camera=(1, number), time=time, split=split))
     fixed = timed and fixed_cameras(shots)
     moving = not fixed and _join_path(shots)
     notes = [note for found in there.values() for note in found.notes] + said + list(lost_depth([entry[-1] for entry in entries], shots))
@@ -78,21 +62,19 @@ def read(root: Path, options: Options) -> Reading:
         )
     if masked := keep_masks.told(shots, "(mask_path)"):
         notes.append(masked)
-    cloud, missing = cloud_of(root, loaded[0][2], files[0][1])
-    points, colors = read_points(root, cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     raw_fps = loaded[0][2].get("fps")
-    return Reading(
+    reading = Reading(
         why=" + ".join(file for _, file in files) + (", fixed cameras" if fixed else ", poses along one smooth path" if moving else ""),
         shots=shots,
         alpha=alpha,
         has_split=len(files) > 1,
         fps=None if raw_fps is None else checks.number(raw_fps, f"{files[0][1]}: fps", 1e-3, 1e6),
         fixed_cameras=fixed,
-        sources=(*seen, *([cloud] if cloud else [])),
-        points=points if len(points) else None,
-        point_colors=colors if len(points) else None,
-        notes=(*notes, *missing, *told_grey(cloud or "", colors)),
+        sources=tuple(seen),
+        notes=tuple(notes),
     )
+    add_cloud(reading, root, loaded[0][2], files[0][1])
+    return reading
 
 
 def _join_path(shots: list[Shot]) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..lens import Lens
-from ..ply_points import read_points, told_grey
+from ..ply_points import add_points
 from ..posed.llff_rows import camera_of, rows_of, told_order
 from ..posed.stated import states_layout
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
@@ -100,11 +100,7 @@ def _add_rest(root: Path, reading: Reading, rows: str | None, modelled: bool, ca
         reading.notes += (f"{rows} is not read, because the COLMAP model has the poses and names the cameras",)
         reading.spoken_for += (rows,)
     if (root / _CLOUD).is_file() and (modelled or rows == _MULTIVIEW):
-        points, colors = read_points(root, _CLOUD)
-        reading.sources += (_CLOUD,)
-        reading.notes += told_grey(_CLOUD, colors)
-        if len(points):
-            reading.points, reading.point_colors = points, colors
+        add_points(reading, root, _CLOUD)
 
 
 def _from_videos(root: Path, cameras: list[str], options: Options) -> Reading:

@@ -6,19 +6,16 @@ import posixpath
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ....pipeline import CaptureError, counted
 from ....pipeline.names import composed
 from .. import checks, keep_masks
 from ..listing.numbers import SPLIT_WORDS
-from ..ply_points import read_points, told_grey
 from ..posed.timestamps import timestamps
-from ..reading import SPLITS, TRAIN, Options, Reading, Shot
+from ..reading import SPLITS, TRAIN, Options, Reading
 from ..rigs import Placed, place_untimed
 from . import transforms
 from .cameras_of_times import fixed_cameras, moving_cameras
-from .frame_files import cloud_of, depth_of, lost_depth, mask_of
+from .frame_files import add_cloud, lost_depth, shot_of
 
 _FILE = "transforms.json"
 
@@ -48,25 +45,11 @@ def read(root: Path, options: Options) -> Reading:
     order = sorted(paths, key=lambda i: keys[i])
     shots, said_of_lenses = [], list[str]()
     for rank, i in enumerate(order):
-        where = f"{_FILE}: frame {i}"
-        lens = transforms.lens(frames[i], data, where, root, paths[i], sizes[i], said_of_lenses)
-        shots.append(
-            Shot(
-                name=paths[i],
-                camera=0,
-                time=float(rank) if times is None else times[i],
-                seconds=None if stamps.since is None or stamps.unit is None else stamps.since[i] * stamps.unit,
-                size=sizes[i],
-                file=paths[i],
-                keep=mask_of(root, frames[i], where),
-                depth=depth_of(root, frames[i], where),
-                K=lens.K,
-                cam_from_world=transforms.pose(frames[i], where),
-                distortion=lens.distortion,
-                fisheye=lens.fisheye,
-                split=TRAIN if splits is None else splits[i],
-            )
-        )
+        shot = shot_of(root, frames[i], data, f"{_FILE}: frame {i}", paths[i], sizes[i], said_of_lenses, camera=0, time=float(rank))
+        shot.time = shot.time if times is None else times[i]
+        shot.seconds = None if stamps.since is None or stamps.unit is None else stamps.since[i] * stamps.unit
+        shot.split = TRAIN if splits is None else splits[i]
+        shots.append(shot)
     placed = Placed(False)
     if times is None:
         flat = any(posixpath.basename(posixpath.dirname(path)).lower() in SPLIT_WORDS for path in paths.values())
@@ -83,9 +66,7 @@ def read(root: Path, options: Options) -> Reading:
     of_frames = keep_masks.told(shots, "(mask_path)")
     masked = (of_frames,) if of_frames else keep_masks.add_masks(root, shots)
     said += lost_depth([frames[i] for i in order], shots)
-    cloud, missing = cloud_of(root, data, _FILE)
-    points, colors = read_points(root, cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-    return Reading(
+    reading = Reading(
         why=f"{_FILE}, {'several cameras' if several > 1 else 'one moving camera'}",
         shots=shots,
         alpha=alpha,
@@ -93,11 +74,11 @@ def read(root: Path, options: Options) -> Reading:
         untimed=times is None and not placed.several,
         fps=_fps(data),
         fixed_cameras=fixed,
-        sources=(_FILE, *([cloud] if cloud else []), *placed.others),
-        points=points if len(points) else None,
-        point_colors=colors if len(points) else None,
-        notes=(*found.notes, *said, *said_of_lenses, *placed.notes, *masked, *missing, *told_grey(cloud or "", colors)),
+        sources=(_FILE, *placed.others),
+        notes=(*found.notes, *said, *said_of_lenses, *placed.notes, *masked),
     )
+    add_cloud(reading, root, data, _FILE)
+    return reading
 
 
 def _fps(data: dict[str, Any]) -> float | None:
