@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from ...pipeline import CaptureError
 from . import checks
@@ -26,7 +26,6 @@ from .listing.unread import above, described, models_in, only_closed, refuse_clo
 from .posed.doubts import doubts
 from .reading import Options, Reading
 from .rigs import rig_without_poses
-from .usual import Usual
 
 Format = Literal[
     "dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "llff", "record3d", "polycam", "rgbd", "tum", "images", "video", "videos"
@@ -51,48 +50,28 @@ _ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:)/+(.*)", re.DOTALL)  # a drive
 _STEPPED = ("n3v", "images", "video", "videos")
 
 
-def recognise(
-    path: str | Path,
-    format: str | None = None,
-    static: bool = False,
-    holdout: int = 8,
-    background: str | None = None,
-    *,
-    max_size: int | None = None,
-    max_frames: int | None = None,
-    every: int | None = None,
-    every_time: int = 1,
-    fps: float | None = None,
-    sync: str | None = None,
-    audio_cache: Path | None = None,
-    usual: Usual | None = None,
-) -> Capture:
-    """Reads a capture's names, JSON and image headers. Decodes only the first frame of a video and a few pictures with alpha.
+def recognise(path: str | Path, format: str | None = None, **settings: Any) -> Capture:
+    """Reads a capture's names, JSON and image headers. Decodes only the first frame of a video, and a few pictures that have alpha or are
+    twice as wide as high.
 
-    `format` forces a reader; `static` sets all times to 0; every `holdout`-th frame is test if the files carry no split
-    (0: none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px limits the longer
-    side of the pictures that later stages see; `max_frames` and `every` thin out videos, images and synchronised videos; with
-    `every_time` above 1, only every so many-th time trains and the others are test, in place of `holdout`; `fps` gives
-    numbered images their times in seconds; `sync` (None | "sound" | "timecode" | "frames") chooses how the clocks of several
-    videos are aligned, and `audio_cache` is a folder that caches the sound envelopes of long ones; `usual` limits the size where `max_size`
-    does not (`Capture.chosen` then says to what). Raises `CaptureError` if the capture is unreadable or
-    inconsistent, or fits two formats.
+    `format` forces a reader. settings: the others of `Options`. Raises `CaptureError` if the capture is unreadable or inconsistent, or fits
+    two formats.
     """
-    options = Options(format, static, holdout, background, max_size, max_frames, every, every_time, fps, sync, audio_cache, usual)
+    options = Options(format, **settings)
     root = _existing(Path(path))
     kind = _choose(root, format)
-    if (max_frames or every) and kind not in _STEPPED:
+    if (options.max_frames or options.every) and kind not in _STEPPED:
         raise CaptureError(f"{root}: frames.every and frames.max_frames thin {', '.join(_STEPPED)}, not {kind}; leave them unset")
-    if sync is not None and kind != "videos":
+    if options.sync is not None and kind != "videos":
         raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
     reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
-    if fps is not None and kind != "images" and any(shot.seconds is not None for shot in reading.shots):
+    if options.fps is not None and kind != "images" and any(shot.seconds is not None for shot in reading.shots):
         raise CaptureError(
             f"{root}: frames.fps is for pictures without times, but the layout {kind} has its own; leave it unset, or give a video another "
             "rate with ffmpeg -r RATE -i FILE NEW"
         )
     base = root if root.is_dir() else root.parent
-    judge_alpha(base, reading, kind, background)
+    judge_alpha(base, reading, kind, options.background)
     reading.notes += doubts(reading.shots, reading.sources)
     said, unfit = add_depth(base, reading.shots)
     reading.notes += said or reading.depth_notes

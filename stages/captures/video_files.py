@@ -14,26 +14,8 @@ MOST_FRAMES = 1_000_000  # nine hours
 # A list of allowed containers, since FFmpeg also opens lists of other files and addresses (HLS, concat, DASH, SDP), and plays text files
 # and programs as videos.
 _CONTAINERS = (
-    *("mov", "matroska", "webm", "avi", "mpeg", "mpegts", "mpegvideo", "ogg", "flv", "asf", "gif", "apng", "mxf", "mxf_opatom", "dv", "rm"),
-    *(
-        "ivf",
-        "nut",
-        "wtv",
-        "yuv4mpegpipe",
-        "m4v",
-        "mjpeg",
-        "h261",
-        "h263",
-        "h264",
-        "hevc",
-        "vvc",
-        "vc1",
-        "av1",
-        "obu",
-        "dirac",
-        "r3d",
-        "amv",
-    ),
+    "mov,matroska,webm,avi,mpeg,mpegts,mpegvideo,ogg,flv,asf,gif,apng,mxf,mxf_opatom,dv,rm,ivf,nut"
+    ",wtv,yuv4mpegpipe,m4v,mjpeg,h261,h263,h264,hevc,vvc,vc1,av1,obu,dirac,r3d,amv"
 )
 
 
@@ -46,7 +28,7 @@ def open_video(root: Path, name: str) -> Iterator[Any]:
     path = root / name
     if not path.is_file():  # opening a pipe would block
         raise CaptureError(f"{name}: not a file; pass a video file")
-    with av.open(str(path), options={"protocol_whitelist": "file", "format_whitelist": ",".join(_CONTAINERS)}) as container:
+    with av.open(str(path), options={"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}) as container:
         for stream in container.streams.video:
             context = stream.codec_context
             if context is None:  # unknown codec

@@ -143,10 +143,7 @@ class _Search:
                 places = self.folder.with_another_suffix(name)
             if len(places) == 1 and places[0] not in taken:
                 chosen[i] = places[0]
-        counts = Counter(chosen.values())
-        self.spelled = [i for i, path in chosen.items() if counts[path] == 1]
-        self.found |= {i: chosen[i] for i in self.spelled}
-        self.gone = sorted(set(self.gone) - set(self.spelled))
+        self.spelled = self._take(chosen)
 
     def by_name_alone(self) -> None:
         if not self.gone:
@@ -160,10 +157,15 @@ class _Search:
                 continue
             if stems.isdisjoint(self.folder.stems[posixpath.dirname(place)] - {stem_of(place)}):
                 chosen[i] = place
+        self.moved = self._take(chosen)
+
+    def _take(self, chosen: Mapping[int, str]) -> list[int]:
+        """Finds the pictures that are chosen once."""
         counts = Counter(chosen.values())
-        self.moved = [i for i, path in chosen.items() if counts[path] == 1]
-        self.found |= {i: chosen[i] for i in self.moved}
-        self.gone = sorted(set(self.gone) - set(self.moved))
+        taken = [i for i, path in chosen.items() if counts[path] == 1]
+        self.found |= {i: chosen[i] for i in taken}
+        self.gone = sorted(set(self.gone) - set(taken))
+        return taken
 
     def result(self, file: str, what: str) -> Found:
         total, notes = len(self.names), []

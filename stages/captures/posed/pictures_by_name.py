@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import posixpath
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection
 from functools import cached_property
 from pathlib import Path
 
@@ -70,21 +70,17 @@ class Pictures:
 
     @cached_property
     def _folded(self) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = {}
-        for path in self._all:
-            found.setdefault(composed(path).casefold(), []).append(path)
-        return found
+        return self._by(lambda path: composed(path).casefold())
 
     @cached_property
     def _bare(self) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = {}
-        for path in self._all:
-            found.setdefault(_bare(path), []).append(path)
-        return found
+        return self._by(_bare)
 
-    @property
-    def _all(self) -> Iterator[str]:
-        return (path for paths in self._named.values() for path in paths)
+    def _by(self, key: Callable[[str], str]) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for path in (path for paths in self._named.values() for path in paths):
+            found.setdefault(key(path), []).append(path)
+        return found
 
 
 def stem_of(path: str) -> str:

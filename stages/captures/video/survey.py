@@ -14,7 +14,7 @@ import numpy as np
 
 from ....pipeline import CaptureError, thread_count
 from ..listing.refusals import of_video
-from ..panorama import refuse_video
+from ..panorama import LOOKED_AT, refuse_video
 from ..video_files import open_video
 from .alpha import alpha_told
 from .colour import Tags, colours_told, frame_tags, stream_tags, supposed_hd
@@ -73,10 +73,7 @@ class _First:
     shape: Shape
     stamp: int | None
     pixel: Fraction | None
-    colours: str | None
-    turn: str | None
-    alpha: str | None
-    flagged: bool
+    lines: list[str | None]  # for people
     parity: str | None
     shown: list[int | None]  # stamps of the pictures that were decoded
 
@@ -155,23 +152,25 @@ def _first(root: Path, name: str, tags: Tags, pixel: Fraction | None) -> _First:
         field_order, codec_tag = stream.codec_context.field_order, stream.codec_context.codec_tag
         frames = decoded_frames(container, stream)
         frame = next(frames, None)
-        if frame is None:
-            raise CaptureError(f"{name}: frame 0: nothing can be decoded; copy or record the video again")
-        if frame.is_corrupt:
-            raise CaptureError(f"{name}: frame 0: the picture is damaged; copy or record the video again")
-        refuse_video(frame, name)
+        if frame is None or frame.is_corrupt:
+            what = "nothing can be decoded" if frame is None else "the picture is damaged"
+            raise CaptureError(f"{name}: frame 0: {what}; copy or record the video again")
+        refuse_video(frame, name, _spread(root, name))
         pixel = pixel or stream.codec_context.sample_aspect_ratio
-        shape, own = shape_of(frame, pixel), frame_tags(frame, tags)
-        colours = colours_told(own, name, codec_tag, supposed_hd(frame, own))
-        found = _First(shape, frame.pts, pixel, colours, turn_told(frame), alpha_told(frame, stream), False, None, [frame.pts])
+        own = frame_tags(frame, tags)
+        lines = [turn_told(frame), alpha_told(frame, stream), colours_told(own, name, codec_tag, supposed_hd(frame, own))]
+        found = _First(shape_of(frame, pixel), frame.pts, pixel, lines, None, [frame.pts])
         if frame.interlaced_frame or field_order in _INTERLACED:
-            test = FieldTest()
+            test, flagged = FieldTest(), False
             while frame is not None and not test.is_over:
-                found.flagged |= frame.interlaced_frame
+                flagged |= frame.interlaced_frame
                 test.add(frame)
                 frame = next(frames, None)
                 found.shown += [] if frame is None else [frame.pts]
-            found.parity = test.parity if found.flagged else None
+            if flagged:
+                found.parity = test.parity
+                whole = "flagged as interlaced, but its frames are whole: left as they are"
+                lines.append("interlaced: deinterlaced" if found.parity else whole)
     return found
 
 
@@ -206,6 +205,24 @@ def _pictures(root: Path, name: str) -> list[int | None]:
         stream.thread_type = "AUTO"
         stream.codec_context.thread_count = thread_count()
         return [frame.pts for frame in decoded_frames(container, stream)]
+
+
+def _spread(root: Path, name: str) -> Iterator[Any]:
+    """Key pictures from all of a video, each once, or others behind them; fewer where it cannot be sought."""
+    import av
+
+    with open_video(root, name) as container:
+        stream, seen = best_track(container, name), set[int | None]()
+        for k in range(LOOKED_AT):
+            try:
+                if k:
+                    container.seek((container.start_time or 0) + k * (container.duration or 0) // LOOKED_AT)
+                frame = next((frame for frame in decoded_frames(container, stream) if frame.pts not in seen), None)
+            except av.FFmpegError:
+                return
+            if frame is not None:
+                seen.add(frame.pts)
+                yield frame
 
 
 def _created(text: str | None) -> float | None:
@@ -259,7 +276,4 @@ def _told(times: Times, packets: Packets, late: int, first: _First, even: float,
     if shape.square != shape.stored:
         ratio, stored, square = shape.pixel, "x".join(map(str, shape.stored)), "x".join(map(str, shape.square))
         told.append(f"pixels are {ratio.numerator}:{ratio.denominator} as wide as high: {stored} is scaled to {square}")
-    told += [line for line in (first.turn, first.alpha) if line]
-    if first.flagged:
-        told.append("interlaced: deinterlaced" if first.parity else "flagged as interlaced, but its frames are whole: left as they are")
-    return [*told, *([first.colours] if first.colours else [])]
+    return [*told, *filter(None, first.lines)]
