@@ -17,13 +17,13 @@ from ...pipeline import CaptureError
 from ...pipeline.choice.evenly import evenly
 from ...vision.images.files import BadImageError, open_image
 
-LOOKED_AT = 5  # pictures that state nothing, of which more than half must show all around, and more than one
-SEAM, NOISE = 1.5, 2.0  # how much more the outermost columns may differ than neighbours do, and levels of 255 that coding adds to that
-STRUCTURE = 5.0  # levels by which the outermost columns vary, and differ from those close by: plain edges that are alike say nothing
-DISTINCT = 0.6  # how much the outermost columns may differ, of what they differ from those close by
-POLE = 0.33  # how much the top and bottom rows, each of which shows one direction, may vary, of what the others do
+LOOKED_AT = 5  # pictures, of which more than half must show all around, and two
+SEAM, NOISE = 1.5, 2.0  # how much more the outermost columns may differ than neighbours do, and levels that coding adds
+STRUCTURE = 5.0  # levels by which the outermost columns vary, and differ from those close by: plain edges say nothing
+DISTINCT = 0.6  # how much the outermost columns may differ, of what they do from those close by
+POLE = 0.33  # how much the top and bottom rows may vary, of what the others do
 _WIDTH = 512  # px, at which pictures are compared
-_FLAT = 4  # FFmpeg's number for rectilinear, which spatial videos of phones state
+_FLAT = 4  # FFmpeg's number for rectilinear, as spatial videos state
 _PROJECTIONS = {  # FFmpeg's other numbers: (what it is, name in the filter v360)
     0: ("a 360-degree video", "e"),
     1: ("a 360-degree video (cube map)", "c3x2"),

@@ -13,7 +13,7 @@ from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.formats.video import decode
 from e4dgs.stages.captures.panorama import refuse_video
-from e4dgs.stages.captures.video.shape import Shape, axis_turn
+from e4dgs.stages.captures.video.shape import Shape, axis_turn, eyes_told
 from PIL import Image
 from run_stage import run_frames
 from tiny_videos import box, encode, turn
@@ -269,6 +269,24 @@ def test_of_the_projections_only_the_rectilinear_one_is_read(projection, words):
     else:
         with pytest.raises(CaptureError, match=f"clip.mp4: .*{words}"):
             refuse_video(frame, "clip.mp4")
+
+
+@pytest.mark.parametrize(("packing", "crop"), [(3, "crop=iw/2:ih:0:0,sidedata=delete"), (4, "crop=iw:ih/2:0:0,sidedata=delete"), (0, None)])
+def test_two_pictures_in_one_are_no_view(tmp_path, packing, crop):
+    """As the stream states, by x264's numbers, which FFmpeg passes on as it does the tags of MP4 and Matroska."""
+    file = encode(tmp_path / "clip.mp4", [corner()] * 3, options={"x264-params": f"frame-packing={packing}"})
+    if crop is None:
+        assert recognise(file).facts["frames"] == 3
+    else:
+        with pytest.raises(CaptureError, match=rf"clip\.mp4: 3D video, two pictures in one; keep one: ffmpeg -i FILE -vf {crop} left\.mp4"):
+            recognise(file)
+
+
+@pytest.mark.parametrize(("kind", "view", "told"), [(8, 0, True), (8, 1, False), (3, 0, True), (3, 1, False), (0, 0, False)])
+def test_it_is_said_if_one_eye_alone_is_read(kind, view, told):
+    """Spatial videos of phones hold two eyes, of which FFmpeg decodes the main one."""
+    frame = SimpleNamespace(side_data={Type.STEREO3D: np.array([kind, 0, view] + [0] * 6, np.int32).tobytes()})
+    assert (eyes_told(frame, "clip.mov") is not None) is told
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{root}: no transforms_train.json, which the D-NeRF layout needs; pass its folder or another --format")
     loaded = [(split, file, checks.read_json(root, file)) for split, file in files]
     listed = {file: transforms.frames_of(data, file) for _, file, data in loaded}
-    there = transforms.present_of_splits(root, _TRAIN, listed)
+    there = transforms.present(root, _TRAIN, listed)
     seen = [file for _, file in files]  # on which the result depends
     files = [(split, file) for split, file in files if there[file].paths]
     loaded = [one for one in loaded if there[one[1]].paths]

@@ -29,7 +29,7 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{root}: no {_FILE}, which the nerfstudio layout needs; pass its folder or another --format")
     data = checks.read_json(root, _FILE)
     frames = transforms.frames_of(data, _FILE)
-    found = transforms.present(root, frames, _FILE)
+    found = transforms.present(root, _FILE, {_FILE: frames})[_FILE]
     splits, said = _splits(root, data, frames, found.paths)
     paths = {i: path for i, path in found.paths.items() if splits is None or i in splits}
     if not paths:

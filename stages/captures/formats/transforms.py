@@ -15,7 +15,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..lens import LARGEST_TERM, Lens, distortion_of
-from ..posed.finding import Found, find_pictures, find_pictures_of_splits
+from ..posed.finding import Found, find_pictures_of_splits
 from ..posed.focals import CONTRADICTION, focal_lengths, matrix_of
 from ..posed.sizes import scale_of
 
@@ -98,14 +98,9 @@ def frames_of(data: Mapping[str, Any], file: str) -> list[dict[str, Any]]:
     return frames
 
 
-def present(root: Path, frames: list[dict[str, Any]], file: str) -> Found:
-    """The picture of each frame that has one, by index of the frame, and notes: instant-ngp's own captures list frames whose images were
-    removed because of blur. Raises CaptureError if more than half are missing."""
-    return find_pictures(root, _names(frames, file), file)
-
-
-def present_of_splits(root: Path, train: str, frames: Mapping[str, list[dict[str, Any]]]) -> dict[str, Found]:
-    """As `present`, for the frames of several files by their names: see `find_pictures_of_splits`."""
+def present(root: Path, train: str, frames: Mapping[str, list[dict[str, Any]]]) -> dict[str, Found]:
+    """The pictures of frames of several files by their names, see `find_pictures_of_splits`: instant-ngp's own captures list frames whose
+    images were removed because of blur."""
     return find_pictures_of_splits(root, train, {file: _names(own, file) for file, own in frames.items()})
 
 

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ....pipeline import CaptureError
+
 MOST_STRETCHED = 4  # times as wide as high, or as high as wide; DV, HDV and anamorphic lenses stay below 2
 _ALIKE = 0.02  # relative difference of aspect ratios below which sizes are scalings of one another
 _OFF_AXIS = 0.02  # of a matrix's numbers, about one degree: writers round them
@@ -24,6 +26,10 @@ _TURNS = {  # how a picture with this turn is shown
     (0, 1, 1, 0): "mirrored and turned",
     (0, -1, -1, 0): "mirrored and turned",
 }
+
+
+_EYES = {1: "crop=iw/2:ih:0:0", 2: "crop=iw:ih/2:0:0"}  # FFmpeg's numbers: side by side, one above the other
+_BESIDE = (3, 8)  # MV-HEVC of phones, and MVC in Matroska
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,20 @@ def turn_told(frame: Any) -> str | None:
         f"its display matrix would {asked}; only quarter turns and mirroring are followed, so it is shown {shown or 'as stored'}; if "
         "that is wrong, change its pixels"
     )
+
+
+def eyes_told(frame: Any, name: str) -> str | None:
+    """A line if the pictures of another eye are not decoded. Raises CaptureError if each picture holds those of both."""
+    from av.sidedata.sidedata import Type
+
+    data = frame.side_data.get(Type.STEREO3D)
+    kind, view = (0, 0) if data is None else np.frombuffer(bytes(data), np.int32)[[0, 2]].tolist()
+    if kind in _EYES:
+        raise CaptureError(
+            f"{name}: 3D video, two pictures in one; keep one: ffmpeg -i FILE -vf {_EYES[kind]},sidedata=delete left.mp4 (behind delete "
+            f",setsar={'2' if kind == 1 else '1/2'} if it looks squeezed)"
+        )
+    return "3D video: one eye is read" if kind in _BESIDE and not view else None
 
 
 def is_plausible(pixel: Fraction) -> bool:

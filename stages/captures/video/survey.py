@@ -20,7 +20,7 @@ from .alpha import alpha_told
 from .colour import Tags, colours_told, frame_tags, stream_tags, supposed_hd
 from .fields import FieldTest
 from .packets import Packets, read_packets
-from .shape import Shape, is_plausible, shape_of, turn_told
+from .shape import Shape, eyes_told, is_plausible, shape_of, turn_told
 from .times import Times, frame_rate, picture_times
 from .tracks import best_track, other_tracks
 
@@ -158,7 +158,8 @@ def _first(root: Path, name: str, tags: Tags, pixel: Fraction | None) -> _First:
         refuse_video(frame, name, _spread(root, name))
         pixel = pixel or stream.codec_context.sample_aspect_ratio
         own = frame_tags(frame, tags)
-        lines = [turn_told(frame), alpha_told(frame, stream), colours_told(own, name, codec_tag, supposed_hd(frame, own))]
+        colours = colours_told(own, name, codec_tag, supposed_hd(frame, own))
+        lines = [eyes_told(frame, name), turn_told(frame), alpha_told(frame, stream), colours]
         found = _First(shape_of(frame, pixel), frame.pts, pixel, lines, None, [frame.pts])
         if frame.interlaced_frame or field_order in _INTERLACED:
             test, flagged = FieldTest(), False
@@ -208,7 +209,7 @@ def _pictures(root: Path, name: str) -> list[int | None]:
 
 
 def _spread(root: Path, name: str) -> Iterator[Any]:
-    """Key pictures from all of a video, each once, or others behind them; fewer where it cannot be sought."""
+    """Key pictures from all of a video, or ones behind them; fewer where it cannot be sought."""
     import av
 
     with open_video(root, name) as container:
