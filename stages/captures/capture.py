@@ -18,9 +18,10 @@ class Capture:
 
     `files` are the paths, relative to `root`, whose content determines the result (the digest of the capture); `facts` is the
     mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`); K applies to the
-    distorted pictures (`captures/lens.py` explains distortion and fisheye). crop [F,4]: left, top, width and
-    height, px, of the part of each stored picture that is scaled to the output size; None if all are used whole. origin [3]: the
-    point of the files' world that is the origin here, None if nothing was moved. keep_turns: the EXIF orientation by which each mask of
+    distorted pictures (`captures/lens.py` explains distortion and fisheye). crop [F,4]: left, top, width and height, px, of the part of
+    each picture, once it is turned, that is scaled to the output size; None if all are used whole. turns: the EXIF orientation (1, 6, 8) by
+    which each picture and what belongs to it are turned after they are read; None if none is. origin [3]: the point of the files' world
+    that is the origin here, None if nothing was moved. keep_turns: the EXIF orientation by which each mask of
     `keeps` is rotated; 1 if it already has the orientation of its picture as shown.
     """
 
@@ -47,6 +48,7 @@ class Capture:
     distortion: np.ndarray | None
     fisheye: np.ndarray | None
     crop: np.ndarray | None
+    turns: tuple[int, ...] | None
     background: str | None
     points: np.ndarray | None = None
     point_colors: np.ndarray | None = None

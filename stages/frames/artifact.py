@@ -33,7 +33,7 @@ ARRAYS = {  # name: unit, what it is, for readers of the file
     "points": ("world", "points of the capture's files"),
     "point_colors": ("", "RGB of points"),
 }
-LISTS = ("files", "mask_files", "keep_files", "keep_turns", "depth_files", "depth_confidence_files", "origin", "K_hint")
+LISTS = ("files", "mask_files", "keep_files", "keep_turns", "turns", "depth_files", "depth_confidence_files", "origin", "K_hint")
 OF_CAPTURE = ("watermark", "points", "point_colors", "origin", "K_hint", "next")  # the others of these have one row a frame
 
 
@@ -76,7 +76,9 @@ class StoredFrames:
     distortion: np.ndarray | None = None  # [F, 4 or 8] float64, OpenCV's terms; present if K is
     lens_K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the distorted pictures; None if equal to K
     fisheye: np.ndarray | None = None  # [F] uint8, 1: OpenCV's fisheye model; None if no lens is a fisheye
-    crop: np.ndarray | None = None  # [F, 4] int32 px: left, top, width, height of the part shown of each; None if all have one size
+    crop: np.ndarray | None = (
+        None  # [F, 4] int32 px: left, top, width, height of the part shown of each as turned; None if all have one size
+    )
     watermark: np.ndarray | None = None  # [H, W] uint8, 255: a watermark of all pictures, which are distorted here; None if there is none
     points: np.ndarray | None = None  # [P, 3] float64, world units
     point_colors: np.ndarray | None = None  # [P, 3] uint8; present if points are
@@ -84,6 +86,7 @@ class StoredFrames:
     mask_files: Sequence[str | None] | None = None  # [F]: white marks moving pixels
     keep_files: Sequence[str | None] | None = None  # [F]: black marks pixels to ignore
     keep_turns: Sequence[int] | None = None  # [F] EXIF orientations by which keep_files are rotated; present if those are
+    turns: Sequence[int] | None = None  # [F] EXIF orientations by which pictures are turned once they are read; None if none is
     depth_files: Sequence[str | None] | None = None  # [F]: depth maps of any unit
     depth_confidence_files: Sequence[str | None] | None = None  # [F]: confidence in these, larger is surer
     origin: Sequence[float] | None = None  # 3 numbers: the point of the files' world that is the origin here; None if nothing was moved

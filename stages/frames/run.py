@@ -53,6 +53,7 @@ def _write(capture: Capture, ctx: Context, watermark: np.ndarray | None) -> None
         mask_files=capture.masks,
         keep_files=capture.keeps,
         keep_turns=None if capture.keeps is None else capture.keep_turns or (),
+        turns=capture.turns,
         depth_files=capture.depths,
         depth_confidence_files=capture.depth_confidences,
         origin=None if capture.origin is None else capture.origin.tolist(),

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 
 
 def video_parts(capture: Capture, given: Given) -> list[Any]:
-    """For each video everything that determines its decoded pictures, as JSON: the file's digest, the frames taken, size and crop."""
+    """For each video everything that determines its decoded pictures, as JSON: the file's digest, the frames taken, size, crop and turn."""
     facts = Facts.of(capture.facts)
     size = [facts.width, facts.height]
     crops = [None if capture.crop is None else capture.crop[video.start].tolist() for video in capture.videos]
-    return [[given.digests[v.file], list(v.taken), v.total, *size, crop] for v, crop in zip(capture.videos, crops, strict=True)]
+    turns = [[] if capture.turns is None else [capture.turns[video.start]] for video in capture.videos]
+    return [[given.digests[v.file], list(v.taken), v.total, *size, c, *t] for v, c, t in zip(capture.videos, crops, turns, strict=True)]
 
 
 def decode_videos(capture: Capture, ctx: Context) -> zarr.Array:
@@ -41,7 +42,8 @@ def decode_videos(capture: Capture, ctx: Context) -> zarr.Array:
                 progress.advance(len(video.taken), video.file)
                 continue
             part = None if capture.crop is None else capture.crop[video.start]
-            for offset, picture in enumerate(decode(capture.root, video, facts.width, facts.height, part, ctx.log)):
+            turn = 1 if capture.turns is None else capture.turns[video.start]
+            for offset, picture in enumerate(decode(capture.root, video, facts.width, facts.height, part, ctx.log, turn)):
                 images[video.start + offset] = picture
                 film.add(small(picture))
                 progress.advance(1, video.file)

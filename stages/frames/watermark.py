@@ -26,7 +26,8 @@ def watermark_of(capture: Capture, ctx: Context, decoded: zarr.Array | None) -> 
     decoded: [F, H, W, 3] uint8, the pictures of videos; None if they are in files.
     """
     facts, chosen = Facts.of(capture.facts), sampled(len(capture.names))
-    if not (ctx.settings.watermark and chosen) or capture.cam_from_world is not None or capture.crop is not None:
+    alike = capture.crop is None and capture.turns is None
+    if not (ctx.settings.watermark and chosen and alike) or capture.cam_from_world is not None:
         return None
 
     def picture(i: int) -> np.ndarray:

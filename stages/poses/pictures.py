@@ -35,7 +35,7 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     folder = picture_folder(ctx)
     names: list[str] = []
     # COLMAP reads files as they are stored: it does not rotate, crop or composite them. Masks need pictures of the frames' size.
-    plain = not frames.alpha and not frames.upright and frames.crop is None and not frames.masked
+    plain = not frames.alpha and not frames.upright and frames.crop is None and not frames.masked and set(frames.turns) == {1}
     linked = frames.files is not None and plain and all(_read_by_colmap(frames.root / file) for file in frames.files)
     with ctx.progress(len(frames), "pictures") as progress:
         for i in range(len(frames)):

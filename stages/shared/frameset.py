@@ -36,8 +36,8 @@ class FrameSet:
     origin: [3], the point of the files' world that is the origin of this one; None if nothing was moved.
     masked: whether some pixels do not count, so that `kept` may return a mask.
     enough_points: whether the capture or structure from motion gives enough points to begin with.
-    files, upright: the image files, and whether they are rotated as their EXIF data ask; crop [F,4] px, or None if all pictures are shown
-    whole.
+    files, upright: the image files, and whether they are rotated as their EXIF data ask; turns [F]: EXIF orientations by which pictures
+    are turned after that; crop [F,4] px, or None if all pictures are shown whole.
     fixed_cameras: no camera moves, according to the files or the pictures. stands_still: nor is there more than one.
     train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
     number [F]: of each frame in the capture, which differs from its index here if only some were chosen.
@@ -55,6 +55,7 @@ class FrameSet:
         self.upright, self.untimed, self.every_time = facts.upright, facts.untimed, facts.every_time
         self.names, self.files = stored.names, stored.files
         self.mask_files, self.keep_files = stored.mask_files, stored.keep_files
+        self.turns = stored.turns or [1] * len(self.names)
         self.keep_turns = stored.keep_turns or [1] * len(self.names)
         self.depth_files, self._confidence_files = stored.depth_files, stored.depth_confidence_files
         self.watermark = stored.watermark
@@ -96,7 +97,7 @@ class FrameSet:
         if self._images is not None:
             return self._images[i]
         assert self.files is not None
-        stored = pictures.read_picture(self.root, self.files[i], self.upright)
+        stored = pictures.turned(pictures.read_picture(self.root, self.files[i], self.upright), self.turns[i])
         picture = pictures.resize(stored, self.width, self.height, None if self.crop is None else self.crop[i])
         if self.alpha and picture.shape[2] == 3:
             picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
@@ -122,7 +123,7 @@ class FrameSet:
         assert self.files is not None
         part = None if self.crop is None else self.crop[i].tolist()
         shown = [self.width, self.height, part, self.upright, self.alpha, self.background]
-        return [digests[Path(self.files[i]).as_posix()], *shown]
+        return [digests[Path(self.files[i]).as_posix()], *shown, *([self.turns[i]] if self.turns[i] != 1 else [])]
 
     def mask(self, i: int) -> np.ndarray | None:
         """Mask of the moving pixels of frame i, uint8 [H,W] (255 = moving), undistorted like the image; None if the capture has none."""
@@ -150,15 +151,18 @@ class FrameSet:
         return depth, np.ones_like(depth) if sure is None else self._nearest(i, read_depth(self.root, sure, shape))
 
     def _nearest(self, i: int, values: np.ndarray) -> np.ndarray:
-        """``values`` of frame i, of any size, scaled, cropped and undistorted like its image, but never a mixture of two of them."""
-        part = None
+        """``values`` of frame i, of any size, made like its image, but never a mixture of two of them."""
+        part, values = None, pictures.turned(values, self.turns[i])
         if self.crop is not None and self.files is not None:
-            across, down = pictures.size_of(self.root, self.files[i])
+            across, down = sorted(pictures.size_of(self.root, self.files[i]))
+            if values.shape[1] > values.shape[0]:  # the size is that of the picture as stored
+                across, down = down, across
             part = self.crop[i] / np.array([across, down, across, down])
         return pictures.nearest(values, self.width, self.height, part, self.undistortion(i))
 
     def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
-        """A mask of frame i, scaled, cropped and undistorted like its image."""
+        """A mask of frame i, turned, scaled, cropped and undistorted like its image."""
+        mask = pictures.turned(mask, self.turns[i])
         return self._undistorted(i, pictures.resize(mask, self.width, self.height, None if self.crop is None else self.crop[i]))
 
     def _undistorted(self, i: int, mask: np.ndarray) -> np.ndarray:

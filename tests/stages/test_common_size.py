@@ -3,14 +3,17 @@
 import json
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.assembly.common_size import common_size, crop, told
+from e4dgs.stages.captures.assembly.quarter_turns import turned_alike
+from e4dgs.stages.captures.reading import Shot
 from e4dgs.stages.shared.frameset import FrameSet
 from factory import Camera, Options, make, render, write_colmap, write_dnerf, write_images, write_n3v, write_nerfstudio, write_panoptic
-from factory.writers import flatten
+from factory.writers import flatten, write_videos
 from PIL import Image
 from run_stage import run_frames
 
@@ -18,13 +21,17 @@ SIZES = ((80, 64), (80, 64), (120, 96), (64, 80))  # most, larger of the same sh
 PATH = Options(backdrop="room", rig="path", times=8, sizes=SIZES, samples=3, fov_degrees=60.0)
 RIG = Options(backdrop="room", rig="arc", cameras=4, times=3, sizes=((80, 64), (120, 90)), samples=3, fov_degrees=60.0)
 
+CLOCKWISE = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+
 
 def assert_true_to_their_cameras(frames, capture, views, least):
     """Each picture equals a render with the K that the frameset gives, and not one a pixel away."""
     assert (frames.width, frames.height) == (80, 64)
     for i, view in enumerate(views):
         assert frames.image(i).shape[:2] == (64, 80)
-        camera = Camera(frames.K[i], view.camera.cam_from_world, 80, 64)
+        turn = frames.cam_from_world[i, :3, :3] @ view.camera.cam_from_world[:3, :3].T
+        np.testing.assert_allclose(turn, CLOCKWISE if view.camera.height > view.camera.width else np.eye(3), atol=1e-4)
+        camera = Camera(frames.K[i], frames.cam_from_world[i], 80, 64)
         truth = flatten(render(capture.synthetic.scene, camera, view.time, 4)).astype(float)
         error, moved = (
             np.square(p[2:-2, 2:-2] - truth[2:-2, 2:-2]).mean()
@@ -87,11 +94,64 @@ def test_the_commonest_size_and_of_equals_the_smaller():
 
 def test_what_is_lost_is_said(tmp_path):
     capture = write_images(make(PATH), tmp_path / "photos")
-    (note,) = recognise(capture.root).notes
-    assert note == (
-        "4 of 8 pictures are not 80x64 px, the shape of most (first 002.png, 120x96): they are scaled to that size, "
-        "with up to 36% of a picture cropped at its sides, and enlarged up to 1.2 times"
+    turned, note = recognise(capture.root).notes
+    assert turned == "2 of 8 pictures stand across the others (first 003.png): they are turned by a quarter, so that less is cropped"
+    assert note == "2 of 8 pictures are not 80x64 px as most are (first 002.png, 120x96): they are scaled to that size, whole"
+
+
+def photos(root, orientations):
+    """Photos of 16x12 px with the EXIF ``orientations``, each with a mask and with depth as it is shown; returns what the sensor saw."""
+    for folder in ("photos/masks", "photos/depth"):
+        (root / folder).mkdir(parents=True)
+    seen = np.random.default_rng(0).integers(1, 256, (len(orientations), 12, 16), np.uint8)
+    for i, (orientation, values) in enumerate(zip(orientations, seen, strict=True)):
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        Image.fromarray(values).convert("RGB").save(root / f"photos/{i}.png", exif=exif)
+        shown = np.rot90(values, {1: 0, 6: -1, 8: 1}[orientation])
+        Image.fromarray(np.where(shown > 127, 255, 0).astype(np.uint8)).save(root / f"photos/masks/{i}.png")
+        Image.fromarray(shown.astype(np.uint16)).save(root / f"photos/depth/{i}.png")
+    return root / "photos", seen
+
+
+@pytest.mark.parametrize(("orientations", "turn"), [([1, 1, 6, 1, 8, 1], 0), ([6, 1], 0), ([6, 6, 1, 6, 6], -1), ([8, 1, 8, 8], 1)])
+def test_photos_of_a_phone_held_both_ways_are_whole(tmp_path, orientations, turn):
+    """All lie as the sensor saw them, turned as most photos ask, so that these stand upright."""
+    root, seen = photos(tmp_path, orientations)
+    frames = FrameSet(run_frames(root, tmp_path).artifact, root)
+    assert frames.crop is None and (frames.width, frames.height) == ((12, 16) if turn else (16, 12))
+    for i, values in enumerate(seen):
+        expected = np.rot90(values, turn)
+        np.testing.assert_array_equal(frames.original(i)[..., 0], expected)
+        np.testing.assert_array_equal(frames.kept(i), expected > 127)
+        np.testing.assert_array_equal(frames.depth(i)[0], expected)
+
+
+def test_tangential_distortion_turns_with_its_picture(tmp_path):
+    shot = Shot("a", 0, 0.0, (60, 80), file="a", K=np.array([[50.0, 0, 28], [0, 55, 41], [0, 0, 1]]), cam_from_world=np.eye(4))
+    shot.distortion = np.array([0.1, 0.01, 0.02, -0.03])
+    (turned, _), turns = turned_alike(tmp_path, [shot, Shot("b", 1, 0.0, (80, 60))], (80, 60), upright=False)
+    assert turns == (6, 1) and turned.size == (80, 60)
+    point = np.array([[0.3, -0.2, 1.0]])
+    (x, y), (across, down) = (
+        cv2.projectPoints(point, s.cam_from_world[:3, :3], np.zeros(3), s.K, s.distortion)[0].ravel() for s in (shot, turned)
     )
+    np.testing.assert_allclose((across, down), (80 - y, x))
+
+
+def test_videos_of_upright_and_lying_phones_are_whole(tmp_path):
+    """The clips of a phone that stood upright are turned, the others stay."""
+    synthetic = make(Options(backdrop="room", rig="arc", cameras=3, times=4, sizes=((80, 64), (80, 64), (64, 80)), samples=2))
+    capture = write_videos(synthetic, tmp_path / "event", crf=4)
+    ran = run_frames(capture.root, tmp_path, sync="frames")
+    frames = FrameSet(ran.artifact, capture.root)
+    assert frames.crop is None and (frames.width, frames.height) == (80, 64)
+    for i in range(len(frames)):
+        view = next(v for v in capture.views if v.camera_index == frames.camera[i] and v.time == frames.time[i])
+        truth = flatten(render(synthetic.scene, view.camera, view.time, 2))
+        truth = truth if truth.shape[1] == 80 else np.rot90(truth, -1)
+        assert np.abs(frames.original(i).astype(float) - truth).mean() < 8
+    assert any("4 of 12 pictures stand across the others (first" in line for line in ran.lines)
 
 
 def test_only_what_most_are_is_called_so():

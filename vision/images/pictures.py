@@ -65,7 +65,7 @@ def read_mask(root: Path, name: str, turn: int = 1, say: Say = lambda what: None
             mask = (values * 255).astype(np.uint8) if truth else values if values.dtype == np.uint8 else _eight_bits(image)
             if truth:
                 say(TRUTH)
-            return np.ascontiguousarray(_TURNS[turn](mask))
+            return turned(mask, turn)
     except BadImageError as error:
         raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
 
@@ -84,6 +84,11 @@ def read_keep(root: Path, name: str, turn: int = 1, say: Say = lambda what: None
     if not keep.any():
         raise CaptureError(f"{name}: the mask is black everywhere, so nothing of its image counts; invert the masks, or remove this one")
     return keep
+
+
+def turned(picture: np.ndarray, turn: int) -> np.ndarray:
+    """``picture`` [H,W] turned as an EXIF orientation asks; [H,W,C] only if that is 1, 3, 6 or 8."""
+    return np.ascontiguousarray(_TURNS[turn](picture))
 
 
 def resize(picture: np.ndarray, width: int, height: int, crop: np.ndarray | None = None) -> np.ndarray:

@@ -16,6 +16,8 @@ from ..usual import told_size
 from .common_size import Crop, common_size, crop, told
 from .far_away import brought_near, told_moved
 from .one_place import joined_place
+from .quarter_turns import told as told_turned
+from .quarter_turns import turned_alike
 from .timeline import Timeline, timeline
 
 
@@ -27,9 +29,11 @@ def assemble(root: Path, given: Path, name: str, kind: str, reading: Reading, op
     stands = joined_place(shots)
     reading.fixed_cameras |= stands
     when = timeline(given, reading, options)
-    poses, points, origin = brought_near([s.cam_from_world for s in shots], reading.points)
+    _check_masks(root, shots)
+    common = common_size([s.size for s in shots])
+    shots, turns = turned_alike(root, shots, common, reading.upright)
     sizes = [s.size for s in shots]
-    common = common_size(sizes)
+    poses, points, origin = brought_near([s.cam_from_world for s in shots], reading.points)
     crops = [crop(size, common) for size in sizes]
     width, height = _output_size(*common, options.size_limit)
     notes = [*reading.notes, *when.notes, *([] if origin is None else [told_moved(origin)]), *([STANDS_STILL] if stands else [])]
@@ -37,6 +41,7 @@ def assemble(root: Path, given: Path, name: str, kind: str, reading: Reading, op
     if options.max_size is None and options.usual is not None and (width, height) != common:
         chosen["max_size"] = options.usual.size
         notes.append(told_size(options.usual, common, (width, height)))
+    notes += told_turned(shots, turns)
     if note := told(sizes, [s.name for s in shots], common):
         notes.append(note)
     scale = _scaled((0, 0, *common), width, height)
@@ -45,7 +50,6 @@ def assemble(root: Path, given: Path, name: str, kind: str, reading: Reading, op
     keeps = tuple(s.keep for s in shots) if any(s.keep for s in shots) else None
     depths = tuple(s.depth for s in shots) if any(s.depth for s in shots) else None
     sure = tuple(s.depth_confidence for s in shots) if any(s.depth_confidence for s in shots) else None
-    _check_masks(root, shots)
     checks.refuse_odd_names(s.name for s in shots)
     return Capture(
         root=root,
@@ -73,6 +77,7 @@ def assemble(root: Path, given: Path, name: str, kind: str, reading: Reading, op
         distortion=None if poses is None else _distortions(shots),
         fisheye=np.array([s.fisheye for s in shots], np.uint8) if any(s.fisheye for s in shots) else None,
         crop=np.array(crops, np.int32) if len(set(sizes)) > 1 else None,
+        turns=turns,
         background=options.background or ("white" if reading.alpha else None),
         points=points,
         point_colors=reading.point_colors,

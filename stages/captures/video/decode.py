@@ -28,10 +28,11 @@ def decode(
     height: int,
     crop: np.ndarray | None = None,
     tell: Callable[[str], None] | None = None,
+    turn: int = 1,
 ) -> Iterator[np.ndarray]:
     """Yields the taken frames in order, uint8 [H,W,3] RGB, SDR, upright, with square pixels, scaled to width x height. crop: left, top,
     width, height of the part of each shown frame that is used, px; None for the whole frame. tell: gets a line about what only decoding
-    shows.
+    shows. turn: the EXIF orientation by which shown frames are turned before that.
 
     Only two frames are in memory at a time, and a few more of interlaced video. A picture that cannot be decoded is replaced by the
     nearest one, if they are few. Raises `CaptureError`, naming file and frame, for damaged data, for pictures that change their shape,
@@ -53,7 +54,7 @@ def decode(
             frames = checked.pass_on(frames, stream.codec_context)
             frames = deinterlaced(frames, found.parity) if found.parity else frames
             for frame in _taken(frames, video, found, say):
-                yield _picture(frame, found, width, height, crop)
+                yield _picture(frame, found, width, height, crop, turn)
     except (av.FFmpegError, OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error  # PyAV's own text begins with a number
         raise CaptureError(f"{video.file}: frame {checked.number}: cannot be decoded ({why}); copy or record the video again") from error
@@ -139,8 +140,8 @@ def _taken(frames: Iterator[tuple[int | None, Any]], video: Video, found: Survey
         say(f"{video.file}: {missing} of {video.total} frames lack pictures; {replaced} of those taken {verb} replaced by the nearest one")
 
 
-def _picture(frame: Any, found: Survey, width: int, height: int, crop: np.ndarray | None) -> np.ndarray:
-    from ....vision.images.pictures import resize
+def _picture(frame: Any, found: Survey, width: int, height: int, crop: np.ndarray | None, turn: int) -> np.ndarray:
+    from ....vision.images.pictures import resize, turned
 
     tags = frame_tags(frame, found.tags)
     shape = shape_of(frame, found.pixel)
@@ -149,4 +150,4 @@ def _picture(frame: Any, found: Survey, width: int, height: int, crop: np.ndarra
         rgb = np.ascontiguousarray(shape.turned(rgb))
     if crop is not None:  # it is in pixels of the shape as shown
         rgb = resize(rgb, *found.shape.shown)
-    return resize(rgb, width, height, crop)
+    return resize(turned(rgb, turn), width, height, crop)
