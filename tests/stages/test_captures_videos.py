@@ -281,3 +281,31 @@ def test_clips_of_unlike_length_are_cameras_whatever_their_names(tmp_path):
         sized(root / "take1.mov", (64, 48), 100)
         sized(root / "take1_small.mov", (32, 24), frames)
         assert recognise(root).facts["cameras"] == cameras
+
+
+@pytest.mark.parametrize(
+    "other", ["shot_mask.mp4", "shot_matte.mov", "mask-shot.mp4", "shot_alpha.mp4", "shot_depth.mkv", "shot.normals.mp4"]
+)
+def test_a_video_of_masks_or_depth_is_no_camera(tmp_path, other):
+    sized(tmp_path / "shot.mp4", (32, 24))
+    sized(tmp_path / other, (32, 24), 29, seed=1)
+    capture = recognise(tmp_path)
+    assert [video.file for video in capture.videos] == ["shot.mp4"] and capture.facts["cameras"] == 1
+    assert capture.notes[0].startswith(f"{other}: left out, since by the name it shows the ") and not any(
+        "not read" in n for n in capture.notes
+    )
+    sized(tmp_path / "b.mp4", (32, 24), seed=2)
+    assert [video.file for video in recognise(tmp_path).videos] == ["b.mp4", "shot.mp4"]
+    (tmp_path / "shot.mp4").unlink()
+    assert recognise(tmp_path).facts["cameras"] == 2, "of which other video it shows nothing is known"
+
+
+@pytest.mark.parametrize(
+    ("first", "other"),
+    [("x_src", "x_vis"), ("clip", "clip_graded"), ("clip", "clip_stabilized"), ("clip-stab", "clip"), ("clip_2160p", "clip_1080p")],
+)
+def test_renderings_of_one_clip_are_no_cameras(tmp_path, first, other):
+    sized(tmp_path / f"{first}.mp4", (32, 24) if "p" not in first[-1] else (64, 48))
+    sized(tmp_path / f"{other}.mp4", (32, 24), seed=1)
+    (video,) = recognise(tmp_path).videos
+    assert video.file == (f"{other}.mp4" if "stab" in first else f"{first}.mp4")

@@ -17,6 +17,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..listing.copies import edited, same_bytes, told, told_edited
+from ..listing.kinds import colour_only
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
 from ..sound import onsets
 from ..sound.cache import onsets_of
@@ -44,7 +45,9 @@ def read(root: Path, options: Options) -> Reading:
     names = [name for name in names if name not in copied]
     edits = edited(names)
     names = [name for name in names if name not in edits]
-    if len(names) < 2 and not edits:
+    colour = colour_only(names)
+    roles, names = [name for name in names if name not in colour], [name for name in names if name in colour]
+    if len(names) < 2 and not edits and not roles:
         raise CaptureError(f"{root}: its videos are copies of one, byte for byte; pass that one: {root / names[0]}")
     meant = options.format == "videos" or options.sync is not None  # the user has said that they are cameras
     if not meant:
@@ -53,12 +56,12 @@ def read(root: Path, options: Options) -> Reading:
     left_out = takes.smaller(root, probed)
     headers = {name: header for name, header in probed.items() if name not in left_out}
     names = list(headers)
-    twice = (*told(copied, "videos"), *told_edited(edits, "videos"), *takes.told(left_out, probed))
+    twice = (*told(copied, "videos"), *told_edited(edits, "videos"), *takes.roles_told(roles), *takes.told(left_out, probed))
     if len(names) < 2:  # one camera over time
         if options.sync is not None:
             raise CaptureError(f"{root}: frames.sync aligns several cameras; leave it unset: {'; '.join(twice)}")
         alone = video.read(root / names[0], options)
-        spoken_for = (*alone.spoken_for, *edits)
+        spoken_for = (*alone.spoken_for, *edits, *roles)
         return replace(alone, sources=(*alone.sources, *copied, *left_out), notes=(*twice, *alone.notes), spoken_for=spoken_for)
     shifts, how, doubt = clocks(root, headers, options.sync, options.audio_cache)
     if how.startswith(_FIRST_FRAMES) and not meant:
@@ -86,7 +89,7 @@ def read(root: Path, options: Options) -> Reading:
         fps=headers[names[0]].fps,
         videos=tuple(Video(name, n * len(times), taken[n], len(headers[name].seconds)) for n, name in enumerate(names)),
         sources=(*copied, *left_out),
-        spoken_for=tuple(edits),
+        spoken_for=(*edits, *roles),
         notes=(*twice, _told(names, shifts, times, taken, headers, how, late), *doubt, *after, *told_together(headers)),
     )
 

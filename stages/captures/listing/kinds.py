@@ -62,6 +62,7 @@ ROLES = {  # words in names of files and folders that say what a picture or an a
         "labels",
         "matte",
         "mattes",
+        "alpha",
     ),
     "normal": ("normal", "normals"),
     "confidence": ("confidence", "confidences", "conf", "covisible"),
