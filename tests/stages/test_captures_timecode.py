@@ -203,3 +203,13 @@ def test_dates_that_say_nothing_leave_cameras(tmp_path, first, second):
     dated(tmp_path / "b.mp4", **second)
     capture = recognise(tmp_path)
     assert capture.facts["cameras"] == 2 and not any("follows" in note for note in capture.notes)
+
+
+@pytest.mark.parametrize(("second", "apart"), [("2024-05-01T10:00:12", 9), ("2024-05-01T10:00:05", None), ("2024-05-01T10:00:01", None)])
+def test_first_frames_of_other_moments_are_doubted(tmp_path, second, apart):
+    """The second video is 3 s longer; where the dates are those of the ends, so much less lies between the starts."""
+    dated(tmp_path / "a.mp4", "2024-05-01T10:00:00", 8)
+    dated(tmp_path / "b.mp4", second, 11, size=(32, 24))
+    told = [note for note in recognise(tmp_path).notes if "apart" in note]
+    assert bool(told) == (apart is not None) and all(f"they begin up to {apart} s apart" in note for note in told)
+    assert not any("apart" in note for note in recognise(tmp_path, sync="frames").notes)

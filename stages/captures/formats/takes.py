@@ -114,6 +114,19 @@ def follow_each_other(headers: Mapping[str, Survey]) -> tuple[str, ...]:
     return (f"by {seen}, so they may be parts of one recording: if so, join them: {_JOIN}; frames.sync=frames says that they are cameras",)
 
 
+def begun_apart(headers: Mapping[str, Survey]) -> tuple[str, ...]:
+    """A line if, by the dates in the files, videos that are aligned by their first frames began at different moments. Dates may be those of
+    the ends, so by neither reading may they begin together."""
+    dates = [header.created for header in headers.values()]
+    ends = [(date or 0.0) - header.seconds[-1] for date, header in zip(dates, headers.values(), strict=True)]
+    if None in dates or (apart := min(max(found) - min(found) for found in (dates, ends))) <= _CLOCK:  # type: ignore[type-var, operator]
+        return ()
+    return (
+        f"warning: by the dates in the files they begin up to {apart:.0f} s apart: if so, trim them to one moment, or give each its sound; "
+        "frames.sync=frames says that they begin together",
+    )
+
+
 def _gaps(headers: Mapping[str, Survey]) -> list[tuple[str, float]] | None:
     """The videos in the order in which they were recorded, and the seconds that each begins after the end of the one before (0 for the
     first); None unless all have a date, one size and one rate, and none begins before another one has ended.

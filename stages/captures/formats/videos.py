@@ -67,6 +67,8 @@ def read(root: Path, options: Options) -> Reading:
     if how.startswith(_FIRST_FRAMES) and not meant:
         takes.refuse_parts(root, headers)
     after = () if meant else takes.follow_each_other(headers)
+    if not after and options.sync is None and how.startswith(_FIRST_FRAMES):
+        after = takes.begun_apart(headers)
     local = [np.asarray(headers[name].seconds) for name in names]
     times, taken = _shared(names, local, shifts, options)
     late = max(float(np.abs(s[list(t)] + shift - times).max()) for s, t, shift in zip(local, taken, shifts, strict=True))
