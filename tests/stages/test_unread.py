@@ -310,6 +310,11 @@ def test_a_camera_matrix_that_may_be_of_others_than_a_video_file_is_told(video_c
         ("r_{}.png", "r_{}_normal.png", "normal maps"),
         ("frame{:06d}.jpg", "depth{:06d}.png", "depth maps"),  # Replica
         ("frame_{:05d}.png", "mask_{:05d}.png", "masks"),
+        ("rgba_{:05d}.png", "object_coordinates_{:05d}.png", "coordinate maps"),  # Kubric
+        ("rgba_{:05d}.png", "forward_flow_{:05d}.png", "optical flow maps"),
+        ("beauty_{:04d}.png", "mask_{:04d}.png", "masks"),
+        ("frame_{:04d}.png", "enlarged_dynamic_mask_{}.png", "masks"),  # MonST3R
+        ("{:05d}.png", "{:05d}_depth_vis.png", "depth maps"),
         ("images/{:03d}.png", "depth/{:03d}.png", "depth maps"),
         ("images/{:03d}.png", "normals/{:03d}.png", "normal maps"),
         ("images/{:03d}.png", "confidence/{:03d}.png", "confidence maps"),
@@ -326,6 +331,12 @@ def test_depth_among_colours(tmp_path, colour, other, what):
         assert "read by the name of its picture: that of " in note
     else:
         assert note.endswith(f", because the layout is images{f'; masks are read from {MASK_PLACES}' if what == 'masks' else ''}")
+
+
+def test_versions_of_photos_are_told_of_a_static_scene(tmp_path):
+    root = pictures(tmp_path / "s", [f"{look}_{i}.png" for i in range(4) for look in ("warm", "cold")])
+    (line,) = [note for note in recognise(root, static=True).notes if "the names hold" in note]
+    assert line.endswith("if they are versions of one picture, keep one of each") and "camNN" not in line
 
 
 def test_grey_of_16_bits_with_the_name_of_a_picture_is_its_depth(tmp_path):

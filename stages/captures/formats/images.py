@@ -72,7 +72,7 @@ def read(root: Path, options: Options) -> Reading:
     thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if len(taken) < len(found) else ()
     ordered = by_value([name.removeprefix(prefix) for name in found])
     decimals = (f"the names are decimal numbers and are sorted by value: {found[0]} to {found[-1]}",) if ordered else ()
-    order = [gaps] if gaps else [] if options.static else _rig_told(found)
+    order = [gaps] if gaps else _rig_told(found, options.static)
     # Frames of a video and photos of a static scene cannot be told apart by their files; only --static says that nothing moves.
     return Reading(
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
@@ -96,15 +96,18 @@ def read(root: Path, options: Options) -> Reading:
     )
 
 
-def _rig_told(names: list[str]) -> list[str]:
-    """A line about names with two numbers in all combinations, of which one may be the camera, or with other words for the same numbers."""
-    if (counts := grid(names)) is not None:
+def _rig_told(names: list[str], static: bool) -> list[str]:
+    """A line about names with two numbers in all combinations, of which one may be the camera, or with other words for the same numbers,
+    which alone matter in a static scene."""
+    if not static and (counts := grid(names)) is not None:
         seen = f"two numbers in all combinations ({counts[0]} by {counts[1]}, {names[0]} to {names[-1]})"
     elif (named := words(names)) is not None:
         first = [names[named[0].index(text)] for text in sorted(set(named[0]))]
         seen = f"the same numbers with other words (first {' and '.join(first[:3])}{' and others' if len(first) > 3 else ''})"
     else:
         return []
+    if static:
+        return [f"the names hold {seen}; if they are versions of one picture, keep one of each"]
     return [
         f"the names hold {seen}, as those of several cameras at several times do, but they are read as ONE camera over time; if there are "
         "several, put the pictures of each into a folder camNN/ and add their poses, or encode one video of each camera and give the "

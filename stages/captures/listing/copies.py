@@ -12,8 +12,9 @@ from pathlib import Path
 # the other one is in any language
 _BEFORE = re.compile(r"(?:copy of|kopie von|copie de|copia de|kopia) (.+)", re.IGNORECASE)
 _AFTER = re.compile(r"[ .(-]|_(?=copy)", re.IGNORECASE)
-# edited pictures and clips: of an iPhone `IMG_E0007.JPG`, of Google Photos `a-edited.jpg` and `a~2.jpg`
-_EDITED = re.compile(r"(img_)e(\d{4,5})|(.+)(?:-edited|~\d)", re.IGNORECASE)
+# edited pictures and clips: of an iPhone `IMG_E0007.JPG`, of Google Photos `a-edited.jpg` and `a~2.jpg`, of Lightroom `a-Edit.jpg` and
+# `a-Enhanced-NR.jpg`, of DxO `a_DxO.jpg`; and portraits of a Pixel, whose background is blurred
+_EDITED = re.compile(r"(img_)e(\d{4,5})|(.+)(?:-edit(?:ed)?(?:-\d)?|-enhanced(?:-\w+)*|[-_]dxo.*|~\d)|(.+-)01\.cover", re.IGNORECASE)
 
 
 def same_bytes(root: Path, names: Sequence[str]) -> dict[str, str]:
@@ -55,7 +56,9 @@ def edited(names: Sequence[str]) -> dict[str, str]:
         folder, file = posixpath.split(name)
         match = _EDITED.fullmatch(posixpath.splitext(file)[0])
         if match is not None:
-            original = by_stem.get(posixpath.join(folder, match[3] or match[1] + match[2]).lower())
+            original = by_stem.get(
+                posixpath.join(folder, f"{match[4]}02.original" if match[4] else match[3] or match[1] + match[2]).lower()
+            )
             if original is not None:
                 found[name] = original
     return found

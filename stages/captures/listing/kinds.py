@@ -66,12 +66,14 @@ ROLES = {  # words in names of files and folders that say what a picture or an a
     ),
     "normal": ("normal", "normals"),
     "confidence": ("confidence", "confidences", "conf", "covisible"),
+    "coordinate": ("coordinates", "coords"),
     "optical flow": ("flow", "flows", "optflow"),
 }
 # Of DJI's multispectral cameras: DJI_0010_MS_NIR.TIF beside DJI_0010_D.JPG, or DJI_0011.TIF to DJI_0015.TIF beside DJI_0010.JPG.
 _BAND = re.compile(r"(.+)_ms_(?:b|g|r|re|nir)\.tiff?|(dji_\d+)[1-5]\.tiff?")
 _VISIBLE = re.compile(r"(.+)_d\.jpe?g|(dji_\d+)0\.jpe?g")
-_COLOUR = ("color", "colour", "rgb", "image", "img", "left", "frame", "frames", "photo", "picture", "pic")
+_COLOUR = ("color", "colour", "rgb", "image", "img", "left", "frame", "frames", "photo", "picture", "pic", "rgba", "beauty")
+_ASIDE = ("map", "maps", "vis", "object", "dynamic", "enlarged", "forward", "backward", "instance")  # in names of what is no colour
 _ARRAYS = (".npy", ".npz", ".pfm", ".exr", ".flo", ".tiff", ".tif", ".pgm", ".dpt", ".raw")
 _CLOUDS = (".ply", ".las", ".laz", ".pcd", ".e57", ".pts", ".ptx", ".xyz")
 _MESHES = (".obj", ".glb", ".gltf", ".usd", ".usdz", ".usda", ".usdc", ".fbx", ".stl", ".splat", ".spz", ".sog")
@@ -232,4 +234,5 @@ def _subject(name: str) -> tuple[str, ...]:
     bare = posixpath.splitext(name.lower())[0].removeprefix(_DYNAMIC)
     bare = re.sub(r"\.(mask|" + "|".join(suffix[1:] for suffix in IMAGE_SUFFIXES) + r")(?![^.])", "", bare)  # a.jpg.mask.png of a.jpg
     parts = re.findall(r"[a-z]+|\d+", bare)
-    return tuple(part for part in parts if part not in _COLOUR and part not in ("map", "maps") and not _role_of_word(part))
+    numbers = (part.lstrip("0") or "0" if part.isdigit() else part for part in parts)  # mask_0.png of frame_0000.png
+    return tuple(part for part in numbers if part not in _COLOUR and part not in _ASIDE and not _role_of_word(part))
