@@ -86,6 +86,7 @@ def test_the_commonest_size_and_of_equals_the_smaller():
     assert common_size([(180, 320)] * 2 + [(320, 180)] * 2 + [(641, 361)]) == (320, 180)
     assert common_size([(160, 90)] * 2 + [(100, 100)] * 2 + [(90, 160)] * 2) == (100, 100), "of equals that which crops least"
     assert common_size([(640, 360)] * 3 + [(320, 180)]) == (640, 360)
+    assert common_size([(160, 128), (640, 512)]) == (640, 512) and common_size([(320, 256), (640, 512)]) == (320, 256)
     assert crop((120, 96), (80, 64)) == (0, 0, 120, 96)
     assert crop((64, 80), (80, 64)) == (0, 14, 64, 51)
     assert crop((81, 64), (80, 64)) == (0, 0, 80, 64)

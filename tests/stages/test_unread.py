@@ -333,6 +333,15 @@ def test_depth_among_colours(tmp_path, colour, other, what):
         assert note.endswith(f", because the layout is images{f'; masks are read from {MASK_PLACES}' if what == 'masks' else ''}")
 
 
+@pytest.mark.parametrize(("colour", "other"), [("DJI_1_000{}_V.JPG", "DJI_1_000{}_T.JPG"), ("a{}_RGB.jpg", "a{}_IR.jpg")])
+def test_thermal_pictures_are_no_photos(tmp_path, colour, other):
+    root = pictures(tmp_path / "s", [colour.format(i) for i in range(4)], (64, 48))
+    pictures(root, [other.format(i) for i in range(4)])
+    capture = recognise(root)
+    assert capture.names == tuple(colour.format(i) for i in range(4)) and capture.facts["width"] == 64
+    assert any(note.startswith(f"4 pictures of one band of light (first {other.format(0)}) are not read") for note in capture.notes)
+
+
 def test_versions_of_photos_are_told_of_a_static_scene(tmp_path):
     root = pictures(tmp_path / "s", [f"{look}_{i}.png" for i in range(4) for look in ("warm", "cold")])
     (line,) = [note for note in recognise(root, static=True).notes if "the names hold" in note]
@@ -508,7 +517,13 @@ def test_a_copy_of_a_photo_is_no_time_of_its_own(tmp_path, name):
 
 
 @pytest.mark.parametrize("count", [1, 3, 6])
-@pytest.mark.parametrize("name", ["IMG_E{:04d}.JPG", "img_e{:04d}.png", "IMG_{:04d}-edited.JPG", "IMG_{:04d}~2.JPG"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("IMG_E{:04d}.JPG", "img_e{:04d}.png", "IMG_{:04d}-edited.JPG", "IMG_{:04d}~2.JPG"),
+        *("IMG_{:04d}-Edit.jpg", "IMG_{:04d}-Enhanced-NR.jpg", "IMG_{:04d}_DxO.jpg"),
+    ],
+)
 def test_edited_photos_beside_their_originals_are_no_times(tmp_path, name, count):
     originals = [f"IMG_{i:04d}.JPG" for i in range(6)]
     edits = [name.format(i) for i in range(count)]
@@ -517,6 +532,12 @@ def test_edited_photos_beside_their_originals_are_no_times(tmp_path, name, count
     assert list(capture.names) == originals
     (note,) = [note for note in capture.notes if "edited" in note]
     assert edits[0] in note and "IMG_0000.JPG" in note and not lines(root)
+
+
+def test_a_portrait_of_a_pixel_is_read_with_its_background(tmp_path):
+    names = [f"PXL_2023_{i}.PORTRAIT-{kind}.jpg" for i in range(3) for kind in ("01.COVER", "02.ORIGINAL")]
+    capture = recognise(pictures(tmp_path / "s", names))
+    assert capture.names == tuple(names[1::2])
 
 
 def test_an_edited_photo_without_its_original_is_read(tmp_path):

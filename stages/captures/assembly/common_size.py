@@ -15,9 +15,12 @@ _ALIKE = 0.02  # relative difference of aspect ratios below which sizes have one
 
 def common_size(sizes: Sequence[Size]) -> Size:
     """The most frequent size of the aspect ratio that most pictures have; among equally frequent ones the smallest, so that less is
-    enlarged, and of these the widest. Of aspect ratios that equally many have, that by which the least is cropped."""
+    enlarged, and of these the widest, but none of less than a quarter of the largest. Of aspect ratios that equally many have, that by
+    which the least is cropped."""
     counts = Counter(sizes)
-    distinct = sorted(counts, key=lambda size: (-counts[size], size[0] * size[1], -size[0]))
+    largest = {n: max(w * h for (w, h), count in counts.items() if count == n) for n in counts.values()}
+    tiny = {(w, h): 4 * w * h < largest[n] for (w, h), n in counts.items()}
+    distinct = sorted(counts, key=lambda size: (-counts[size], tiny[size], size[0] * size[1], -size[0]))
     weights = np.array([counts[size] for size in distinct], np.float64)
     aspects = np.log([width / height for width, height in distinct])
     having = [float(weights[np.abs(aspects - aspect) < _ALIKE].sum()) for aspect in aspects]

@@ -69,9 +69,10 @@ ROLES = {  # words in names of files and folders that say what a picture or an a
     "coordinate": ("coordinates", "coords"),
     "optical flow": ("flow", "flows", "optflow"),
 }
-# Of DJI's multispectral cameras: DJI_0010_MS_NIR.TIF beside DJI_0010_D.JPG, or DJI_0011.TIF to DJI_0015.TIF beside DJI_0010.JPG.
-_BAND = re.compile(r"(.+)_ms_(?:b|g|r|re|nir)\.tiff?|(dji_\d+)[1-5]\.tiff?")
-_VISIBLE = re.compile(r"(.+)_d\.jpe?g|(dji_\d+)0\.jpe?g")
+# Of DJI's multispectral cameras: DJI_0010_MS_NIR.TIF beside DJI_0010_D.JPG, or DJI_0011.TIF to DJI_0015.TIF beside DJI_0010.JPG;
+# and of thermal ones: DJI_20230606100030_0001_T.JPG beside _V, _W or _Z, and a_IR.jpg beside a_RGB.jpg.
+_BAND = re.compile(r"(.+)_(?:ms_(?:b|g|r|re|nir)\.tiff?|ir\.jpe?g)|(dji_\d+)[1-5]\.tiff?|(dji_.+)_t\.jpe?g")
+_VISIBLE = re.compile(r"(.+)_(?:d|rgb)\.jpe?g|(dji_\d+)0\.jpe?g|(dji_.+)_[vwz]\.jpe?g")
 _COLOUR = ("color", "colour", "rgb", "image", "img", "left", "frame", "frames", "photo", "picture", "pic", "rgba", "beauty")
 _ASIDE = ("map", "maps", "vis", "object", "dynamic", "enlarged", "forward", "backward", "instance")  # in names of what is no colour
 _ARRAYS = (".npy", ".npz", ".pfm", ".exr", ".flo", ".tiff", ".tif", ".pgm", ".dpt", ".raw")
