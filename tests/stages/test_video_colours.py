@@ -11,7 +11,7 @@ from e4dgs.stages.captures.formats.video import decode
 from e4dgs.stages.captures.video.colour import Tags, colours_told, frame_tags
 from e4dgs.vision.images.wide_colour import from_gamut, to_sdr
 from run_stage import run_frames
-from tiny_videos import encode, remux
+from tiny_videos import encode, levels, remux
 
 BT2020_FROM_709 = np.array([[0.627404, 0.329283, 0.043313], [0.069097, 0.919540, 0.011362], [0.016391, 0.088013, 0.895595]])  # BT.2087
 LUMA = np.array([0.2627, 0.6780, 0.0593])
@@ -243,3 +243,25 @@ def test_hd_video_that_states_no_matrix_has_that_of_players(tmp_path, size, matr
     found = shown[height // 2, [min(width - 4, step * k + step // 2) for k in range(8)]]
     assert np.abs(found.astype(int) - COLOURS).max() <= 4
     assert any("BT.709 is taken" in note for note in capture.notes) is told
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('<Item name="CaptureGammaEquation" value="s-log3-cine"/>', True),
+        ('<Item name="CaptureGammaEquation" value="rec709"/>', False),
+        ('<!DOCTYPE a [<!ENTITY b "&b;&b;">]>&b;' + "<" * 70000 + '<Item name="CaptureGammaEquation" value="s-log3"/>', False),
+        ("", False),
+    ],
+)
+def test_log_footage_is_named_by_the_file_beside_it(tmp_path, text, told):
+    (tmp_path / "C0001M01.XML").write_text(text)
+    encode(tmp_path / "C0001.MP4", levels(3, 2, (32, 24)))
+    found = [note for note in recognise(tmp_path / "C0001.MP4").notes if "log" in note]
+    assert bool(found) == told
+    assert all("C0001.MP4: recorded as s-log3-cine (C0001M01.XML), which is not converted: convert it to Rec.709" in n for n in found)
+
+
+@pytest.mark.parametrize(("transfer", "told"), [(1, True), (2, True), (14, False), (16, False)])
+def test_footage_with_the_tags_of_apple_log_is_doubted(transfer, told):
+    assert ("if it is log footage" in (colours_told(Tags(transfer, 9, 9), "a.mov", "hvc1") or "")) == told

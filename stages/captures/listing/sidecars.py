@@ -1,5 +1,5 @@
 """Poses in files whose names do not tell them, but their content does: those that are named like the picture beside them, and tables and
-documents that photogrammetry writes under any name."""
+documents that photogrammetry writes under any name; and the log curve of a video in such a file."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ _BEGINNINGS = {  # of tables of poses: of RealityCapture, Metashape (the referen
     ),
     ".xml": re.compile(rb"(<\?xml[^>]*>)?\s*(<!--.*?-->\s*)*(<document\b[^>]*>\s*<chunks?\b|<blocksexchange\b)", re.I | re.S),
 }
+_GAMMA = re.compile(rb'name="CaptureGammaEquation"\s{1,9}value="([A-Za-z0-9._-]{1,40})"')
 _MOST_TABLES = 200  # files that are opened; captures have one or two
 
 
@@ -34,6 +35,16 @@ def posed_tables(root: Path, files: Sequence[str]) -> set[str]:
     tables = [path for path in files if path.lower().endswith(tuple(_BEGINNINGS))]
     tables = sorted(tables, key=lambda path: path.lower().endswith(".txt"))[:_MOST_TABLES]  # some captures have a text for each picture
     return {path for path in tables if _BEGINNINGS[posixpath.splitext(path)[1].lower()].match(_head(root / path).removeprefix(_MARK))}
+
+
+def log_curve(root: Path, name: str) -> tuple[str, str] | None:
+    """The file that Sony's cameras write beside the video ``name`` (C0001M01.XML of C0001.MP4) and the log curve that it names; None if
+    none. It is only searched for that field, so it may hold anything."""
+    for suffix in ("M01.XML", "m01.xml"):
+        file = posixpath.splitext(name)[0] + suffix
+        if (found := _GAMMA.search(_head(root / file))) and b"log" in found[1].lower():
+            return file, found[1].decode("ascii")
+    return None
 
 
 def posed_sidecars(root: Path, files: Sequence[str]) -> set[str]:

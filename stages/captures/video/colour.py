@@ -17,6 +17,7 @@ _BT2020 = 9
 _BT709 = 1
 _HD = (1280, 720)  # px; from one of them on, players take BT.709 for a video that says nothing. FFmpeg's converter takes BT.601 for all.
 _FULL_RANGE = 2
+BY_LUT = "convert it to Rec.709 first by its LUT, for example with ffmpeg -i FILE -vf lut3d=LUT.cube NEW.mp4"
 _DOLBY_VISION = ("dvh1", "dvhe", "dva1", "dvav", "dav1")
 
 
@@ -58,7 +59,7 @@ def colours_told(tags: Tags, name: str, codec_tag: str, supposed: bool = False) 
     converted = tags.conversion("its")
     if tags.curve != "SDR":
         return converted
-    said = []
+    said = [f"if it is log footage, as Apple Log with these tags is, {BY_LUT}"] if tags.primaries == _BT2020 and tags.transfer < 3 else []
     if tags.transfer in UNREAD_CURVES:
         said.append(
             f"its transfer curve ({UNREAD_CURVES[tags.transfer]}) is not converted, so its contrast differs from that of other cameras"

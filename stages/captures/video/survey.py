@@ -14,10 +14,11 @@ import numpy as np
 
 from ....pipeline import CaptureError, thread_count
 from ..listing.refusals import of_video
+from ..listing.sidecars import log_curve
 from ..panorama import LOOKED_AT, refuse_video
 from ..video_files import open_video
 from .alpha import alpha_told
-from .colour import Tags, colours_told, frame_tags, stream_tags, supposed_hd
+from .colour import BY_LUT, Tags, colours_told, frame_tags, stream_tags, supposed_hd
 from .fields import FieldTest
 from .packets import Packets, read_packets
 from .shape import Shape, eyes_told, is_plausible, shape_of, turn_told
@@ -126,7 +127,7 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
         late=behind if abs(behind) < 1e6 else 0.0,
         timecode=code,
         created=created,
-        notes=(*notes, *_told(times, packets, late, first, even, seconds)),
+        notes=(*notes, *_log_told(root, name), *_told(times, packets, late, first, even, seconds)),
     )
 
 
@@ -240,6 +241,11 @@ def _even_rate(container: Any, stream: Any) -> float:
     and FFmpeg states 25 for it."""
     rates = (stream.codec_context.framerate, None if container.format.name in _RAW else stream.average_rate)
     return next((float(rate) for rate in rates if rate and 1 <= rate <= MOST_RATE), DEFAULT_RATE)
+
+
+def _log_told(root: Path, name: str) -> list[str]:
+    found = log_curve(root, name)
+    return [] if found is None else [f"recorded as {found[1]} ({found[0]}), which is not converted: {BY_LUT}"]
 
 
 def _frames(count: int) -> str:
