@@ -3,11 +3,14 @@
 import json
 import math
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from av.stream import Disposition
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures.video.tracks import best_track
 from factory import Options, make, write_colmap, write_nerfstudio
 from PIL import Image
 
@@ -179,3 +182,28 @@ def test_what_a_frame_says_comes_before_what_the_file_says(changed):
     data["frames"][3]["K"] = [[60, 0, 20], [0, 60, 16], [0, 0, 1]]
     (root / "transforms.json").write_text(json.dumps(data))
     np.testing.assert_allclose(recognise(root).K[:, 0, 0], [FOCAL, FOCAL, 50, 60], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "doubted"), [((80, 60), True), ((160, 120), False), ((310, 232), True), ((120, 90), False)])
+def test_a_camera_matrix_for_pictures_of_another_size_is_doubted(tmp_path, size, doubted):
+    """Of twice the size, the principal point lies at the corner, and a little more is outside, which is an error."""
+    for i in range(3):
+        Image.new("RGB", (160, 120), (i, 0, 0)).save(tmp_path / f"{i}.png")
+    (tmp_path / "K.txt").write_text(f"200 0 {size[0] / 2}\n0 200 {size[1] / 2}\n0 0 1\n")
+    told = [note for note in recognise(tmp_path).notes if "principal point" in note]
+    assert bool(told) == doubted and all(f"K.txt: the principal point {size[0] / 2:g}, " in note for note in told)
+    assert all(f"made for about {size[0]}x{size[1]} px: then scale its first two rows" in note for note in told)
+
+
+def test_of_a_depth_camera_the_track_in_colour_is_read():
+    """Azure Kinect: depth and infrared may have more pixels than colour."""
+    kinds = [("yuvj422p", 1280, 720), ("gray16be", 1024, 1024), ("gray16be", 1024, 1024)]
+    streams = [
+        SimpleNamespace(
+            codec_context=SimpleNamespace(pix_fmt=kind), width=width, height=height, index=i, frames=9, disposition=Disposition.default
+        )
+        for i, (kind, width, height) in enumerate(kinds)
+    ]
+    for order in (streams, streams[::-1]):
+        assert best_track(SimpleNamespace(streams=SimpleNamespace(video=order)), "k4a.mkv").codec_context.pix_fmt == "yuvj422p"
+    assert best_track(SimpleNamespace(streams=SimpleNamespace(video=streams[1:])), "grey.mkv").index == 1

@@ -19,6 +19,7 @@ from ..listing.twins import without_depth
 from ..listing.unread import described
 from ..panorama import refuse_pictures
 from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
+from ..posed.camera_matrix import told as told_matrix
 from ..reading import DEFAULT_FPS, Options, Reading, Shot
 from . import video
 
@@ -91,6 +92,7 @@ def read(root: Path, options: Options) -> Reading:
             *said,
             *bracketed,
             *masked,
+            *told_matrix(hint, prefix + CAMERA_MATRIX, *sizes[0]),
         ),
         spoken_for=(*deep, *dimmer, *edits),
     )

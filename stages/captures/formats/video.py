@@ -10,6 +10,7 @@ from ....pipeline import CaptureError
 from .. import checks
 from ..listing.beside import alone
 from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
+from ..posed.camera_matrix import told as told_matrix
 from ..reading import Options, Reading, Shot, Video
 from ..video.decode import decode
 from ..video.survey import survey
@@ -53,6 +54,7 @@ def read(root: Path, options: Options) -> Reading:
         notes=(
             f"took {some}; frames.every and frames.max_frames change it",
             *told_together({path.name: header}),
+            *told_matrix(hint, CAMERA_MATRIX, header.width, header.height),
         ),
     )
 

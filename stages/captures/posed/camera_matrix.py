@@ -10,6 +10,7 @@ from ....pipeline import CaptureError
 from .. import checks
 
 CAMERA_MATRIX = "K.txt"
+_HALF = 0.23  # of a side: the principal point of a matrix for pictures of half or twice the size is this far from the middle, or more
 LIMIT = 4096  # characters; nine numbers need a tenth of that
 
 
@@ -33,3 +34,13 @@ def read_camera_matrix(root: Path, name: str, width: int, height: int) -> np.nda
             "scale the matrix to the images or remove the file"
         )
     return K
+
+
+def told(K: np.ndarray | None, name: str, width: int, height: int) -> tuple[str, ...]:
+    """A line if the principal point is so far from the middle on both axes that ``K`` seems to be for pictures of another size."""
+    if K is None or min(abs(K[0, 2] / width - 0.5), abs(K[1, 2] / height - 0.5)) < _HALF:
+        return ()
+    return (
+        f"warning: {name}: the principal point {K[0, 2]:g}, {K[1, 2]:g} is far from the middle of the {width}x{height} pictures, as if the "
+        f"matrix was made for about {2 * K[0, 2]:.0f}x{2 * K[1, 2]:.0f} px: then scale its first two rows to the pictures",
+    )

@@ -1,4 +1,5 @@
-"""Which video track of a file is the video: the largest one that is not a cover, a thumbnail or a still."""
+"""Which video track of a file is the video: the largest one that is not a cover, a thumbnail or a still, one in
+colour before those of grey, which may be depth and infrared of a depth camera."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ def best_track(container: Any, name: str) -> Any:
         what = "only a cover picture, no video" if streams else "no video stream that can be read"
         raise CaptureError(f"{name}: holds {what}; pass a video file")
     moving = [stream for stream in shown if stream.frames != 1] or shown  # a poster may be larger than the video
-    return max(moving, key=lambda stream: (stream.width * stream.height, _is_default(stream), -stream.index))
+    return max(moving, key=lambda stream: (not _is_grey(stream), stream.width * stream.height, _is_default(stream), -stream.index))
 
 
 def other_tracks(container: Any, taken: Any) -> tuple[str, ...]:
@@ -29,6 +30,10 @@ def other_tracks(container: Any, taken: Any) -> tuple[str, ...]:
 
 def _size(stream: Any) -> str:
     return "of an unknown kind" if stream.codec_context is None else f"{stream.width}x{stream.height}"
+
+
+def _is_grey(stream: Any) -> bool:
+    return str(stream.codec_context.pix_fmt).startswith("gray")
 
 
 def _is_cover(stream: Any) -> bool:
