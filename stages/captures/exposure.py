@@ -24,20 +24,32 @@ class Exposure(NamedTuple):
 
 def exposure(file: Path) -> Exposure | None:
     """None if a photo does not say when it was taken, or for how long it was exposed. EXIF data are often broken, and they are optional."""
+    found = _details(file)
+    shutter, second = _positive(found.get(SHUTTER)), _second(found)
+    speed, stop = _positive(found.get(SPEED)) or 100.0, _positive(found.get(STOP)) or 1.0
+    return None if shutter is None or second is None else Exposure(second, math.log2(shutter * speed / stop**2))
+
+
+def second_of(file: Path) -> float | None:
+    """When a photo was taken, as in `Exposure`; None if it does not say."""
+    return _second(_details(file))
+
+
+def _details(file: Path) -> dict[int, Any]:
     try:
         with open_image(file) as image:
-            found = dict(image.getexif().get_ifd(DETAILS)) if image.format in KINDS else {}
+            return dict(image.getexif().get_ifd(DETAILS)) if image.format in KINDS else {}
     except BadImageError:  # its reader says why
-        return None
-    shutter = _positive(found.get(SHUTTER))
-    speed, stop = _positive(found.get(SPEED)) or 100.0, _positive(found.get(STOP)) or 1.0
+        return {}
+
+
+def _second(found: dict[int, Any]) -> float | None:
     try:
         second = datetime.strptime(str(found.get(TAKEN)).strip("\0 "), "%Y:%m:%d %H:%M:%S").timestamp()
     except (ValueError, OverflowError, OSError):
         return None
     digits = str(found.get(FRACTION, "")).strip("\0 ")
-    second += float(f"0.{digits}") if digits.isascii() and digits.isdecimal() and len(digits) < 10 else 0.0
-    return None if shutter is None else Exposure(second, math.log2(shutter * speed / stop**2))
+    return second + (float(f"0.{digits}") if digits.isascii() and digits.isdecimal() and len(digits) < 10 else 0.0)
 
 
 def _positive(value: Any) -> float | None:

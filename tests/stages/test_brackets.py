@@ -6,6 +6,7 @@ import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.exposure import exposure
+from e4dgs.stages.captures.listing.names import in_order
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
@@ -91,3 +92,16 @@ def test_one_view_is_no_scene(tmp_path):
     shoot(tmp_path, (0, -2, 2), views=1)
     with pytest.raises(CaptureError, match=r"1 view with 3 exposures.*add more views"):
         recognise(tmp_path, static=True)
+
+
+@pytest.mark.parametrize("dated", [True, False])
+def test_photos_whose_names_give_no_order_follow_their_dates(tmp_path, dated):
+    """Names as phones share them; without dates, the order of the names is doubted."""
+    names = [f"{hex}-BDC0-329A.JPEG" for hex in ("0F2B", "A7D1", "3B3A", "E3C7", "9E0D", "7133")]
+    for k, name in enumerate(names):
+        photo(tmp_path / name, 10 * k if dated else None)
+    capture = recognise(tmp_path)
+    assert list(capture.names) == (names if dated else in_order(names))
+    (note,) = [note for note in capture.notes if "give no order" in note]
+    assert note.endswith(f"so the EXIF dates do: {names[0]} to {names[-1]}" if dated else "use --static if nothing moves")
+    assert not any("give no order" in note for note in recognise(tmp_path, static=True).notes)

@@ -9,11 +9,12 @@ from pathlib import Path
 from ....pipeline import CaptureError
 from .. import checks
 from ..brackets import middle_exposures
+from ..exposure import second_of
 from ..keep_masks import add_masks, turn_masks
 from ..listing import copies
 from ..listing.kinds import PICTURE, colour_only, kind_of
 from ..listing.names import by_value, is_image
-from ..listing.numbers import grid, places, words
+from ..listing.numbers import give_no_order, grid, places, words
 from ..listing.several import apart, several, told
 from ..listing.twins import without_depth
 from ..listing.unread import described
@@ -43,6 +44,7 @@ def read(root: Path, options: Options) -> Reading:
     copied = copies.named_copies(root, listed)
     edits = copies.edited([name for name in listed if name not in copied])
     found, deep, said = without_depth(root, [name for name in listed if name not in copied and name not in edits])
+    found, ordered_by = ([*found], ()) if options.static else _by_date(root, found)
     found, dimmer, bracketed = middle_exposures(root, found)
     if len(found) < 2:
         if dimmer:
@@ -84,6 +86,7 @@ def read(root: Path, options: Options) -> Reading:
         upright=upright,
         notes=(
             *thinned,
+            *ordered_by,
             *decimals,
             *order,
             *told(root, paths),
@@ -95,6 +98,21 @@ def read(root: Path, options: Options) -> Reading:
             *told_matrix(hint, prefix + CAMERA_MATRIX, *sizes[0]),
         ),
         spoken_for=(*deep, *dimmer, *edits),
+    )
+
+
+def _by_date(root: Path, names: list[str]) -> tuple[list[str], tuple[str, ...]]:
+    """`names` in the order of their EXIF dates, if they give no order themselves, and a line about it."""
+    if not give_no_order(names):
+        return names, ()
+    seconds = [second_of(root / name) for name in names]
+    known = [second for second in seconds if second is not None]
+    if len(known) == len(names) and len(set(known)) > len(names) // 2:
+        order = sorted(range(len(names)), key=lambda i: known[i])
+        return [names[i] for i in order], (f"the names give no order, so the EXIF dates do: {names[order[0]]} to {names[order[-1]]}",)
+    return names, (
+        "the names give no order, and there are no EXIF dates: time follows the alphabet; number the pictures as they were taken, or use "
+        "--static if nothing moves",
     )
 
 

@@ -13,6 +13,7 @@ from ..reading import DEFAULT_FPS, Shot
 from .names import decimal_of
 
 _LEAST_THERE = 0.5  # of the numbers from the first to the last; of more gaps it is not known whether they are pictures that are missing
+_FEWEST = 6  # names that have to be random before they are called so
 _MOST_TOLD = 3  # gaps
 _LAST = (999, 9999)  # numbers after which counters of cameras begin again
 SPLIT_WORDS = frozenset({"train", "val", "test", "eval", "validation"})  # in names of folders and pictures, which are no cameras
@@ -47,6 +48,14 @@ def places(names: Sequence[str]) -> tuple[list[int], str | None]:
         f"the names skip {told}: times follow the numbers, as if these pictures were missing; if the pictures are evenly spaced, number "
         "them without gaps"
     )
+
+
+def give_no_order(names: Sequence[str]) -> bool:
+    """Whether hardly two of `names` differ in numbers alone, as random ones (UUIDs) do, so that their order says nothing of time."""
+    if len(names) < _FEWEST:
+        return False
+    stems = [posixpath.splitext(posixpath.basename(name))[0] for name in names]
+    return 2 * len({re.sub(r"[0-9]+", "0", stem) for stem in stems}) > len(names)
 
 
 def grid(names: Sequence[str]) -> tuple[int, int] | None:
