@@ -54,6 +54,7 @@ class Shot:
     depth: str | None = None  # file, see `listing/depth_maps.py`
     depth_confidence: str | None = None  # file, of any unit: larger is surer
     seconds: float | None = None
+    step: int | None = None  # its place on the clock of a sequence of which pictures are missing or not taken
     linked: bool = True  # whether it may form a pair with the same camera's next frame
     K: np.ndarray | None = None
     cam_from_world: np.ndarray | None = None

@@ -65,7 +65,7 @@ def recognise(path: str | Path, format: str | None = None, **settings: Any) -> C
     if options.sync is not None and kind != "videos":
         raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
     reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
-    if options.fps is not None and kind != "images" and any(shot.seconds is not None for shot in reading.shots):
+    if options.fps is not None and any(shot.seconds is not None for shot in reading.shots):
         raise CaptureError(
             f"{root}: frames.fps is for pictures without times, but the layout {kind} has its own; leave it unset, or give a video another "
             "rate with ffmpeg -r RATE -i FILE NEW"

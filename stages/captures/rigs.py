@@ -42,14 +42,11 @@ class Placed:
     others: tuple[str, ...] = ()
 
 
-def place_untimed(
-    root: Path, shots: Sequence[Shot], static: bool, fps: float | None, deleted: Sequence[str] = (), flat: bool = False
-) -> Placed:
+def place_untimed(root: Path, shots: Sequence[Shot], static: bool, deleted: Sequence[str] = (), flat: bool = False) -> Placed:
     """Sets camera and time of each of ``shots``, whose files say neither: folders with files of the same names are the cameras of a rig, or
     its times; cameras that stand still are told by names and poses; else one camera moved, and its pictures follow the numbers in names.
 
-    shots: in the order of their names. static: times do not matter. fps, deleted: see `set_times`, `cameras_of`. flat: folders are no
-    cameras."""
+    shots: in the order of their names. static: times do not matter. deleted: see `cameras_of`. flat: folders are no cameras."""
     files = [shot.file or shot.name for shot in shots]
     rig = Rig() if flat else cameras_of(root, files, deleted)
     if rig != Rig():  # several folders
@@ -58,19 +55,19 @@ def place_untimed(
             for shot, file in zip(shots, files, strict=True):
                 shot.camera = checks.natural_key(frame_of(file))
             clock, skipped = _clock([posixpath.dirname(file) for file in files])
-            set_times(shots, clock, max(clock) >= len(set(clock)), fps)
+            set_times(shots, clock, max(clock) >= len(set(clock)))
             return Placed(True, tuple(line for line in (told, skipped) if line), rig.others)
         rig = replace(rig, note=rig.note or told)
     notes = (rig.note,) if rig.note else ()
     if rig.places is not None:
         for shot, (camera, _) in zip(shots, rig.places, strict=True):
             shot.camera = checks.natural_key(camera)
-        set_times(shots, [time for _, time in rig.places], rig.gaps, fps)
+        set_times(shots, [time for _, time in rig.places], rig.gaps)
         return Placed(True, notes, rig.others)
     if static:
         return Placed(False, notes)
-    named = cameras_in_names(shots, fps)
-    return Placed(named is not None, (*notes, *(follow_numbers(shots, fps) if named is None else named)))
+    named = cameras_in_names(shots)
+    return Placed(named is not None, (*notes, *(follow_numbers(shots) if named is None else named)))
 
 
 def _clock(folders: Sequence[str]) -> tuple[list[int], str | None]:
@@ -119,7 +116,7 @@ def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -
     return Rig(note=note, others=others)
 
 
-def cameras_in_names(shots: Sequence[Shot], fps: float | None) -> tuple[str, ...] | None:
+def cameras_in_names(shots: Sequence[Shot]) -> tuple[str, ...] | None:
     """If the names of pictures in one folder tell cameras and times apart: sets both, and returns lines for people. None otherwise.
 
     They do if they hold two numbers (`cam0_0001.png`), of which one is the camera, because all pictures with the same one have one pose; or
@@ -131,7 +128,7 @@ def cameras_in_names(shots: Sequence[Shot], fps: float | None) -> tuple[str, ...
         for shot, number in zip(shots, camera, strict=True):
             shot.camera = number
         if max(Counter(camera).values()) > 1 and all_fixed(shots):
-            return _follow(shots, time, fps)
+            return _follow(shots, time)
     for shot in shots:
         shot.camera = 0
     named = words(files) if one_folder else None
@@ -141,15 +138,15 @@ def cameras_in_names(shots: Sequence[Shot], fps: float | None) -> tuple[str, ...
         shot.camera = text
     first, other = (files[named[0].index(text)] for text in sorted(set(named[0]))[:2])
     told = f"names with other words and equal numbers, such as {first} and {other}, are read as {len(set(named[0]))} cameras at one time"
-    return (told, *_follow(shots, named[1], fps))
+    return (told, *_follow(shots, named[1]))
 
 
-def _follow(shots: Sequence[Shot], time: Sequence[int], fps: float | None) -> tuple[str, ...]:
+def _follow(shots: Sequence[Shot], time: Sequence[int]) -> tuple[str, ...]:
     """Sets the times of ``shots`` of several cameras by the number in the name of each. Returns a line if numbers are missing."""
     numbers = sorted(set(time))
     clock, told = places([f"{number}.png" for number in numbers])
     place = dict(zip(numbers, clock, strict=True))
-    set_times(shots, [place[number] for number in time], clock[-1] >= len(clock), fps)
+    set_times(shots, [place[number] for number in time], clock[-1] >= len(clock))
     return (told,) if told else ()
 
 

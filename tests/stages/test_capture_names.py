@@ -153,7 +153,7 @@ def test_a_rig_in_one_folder_is_told(tmp_path, case, folder):
     """Only its names speak of several cameras, so it is read as before."""
     (pattern, cameras, times), counts = FLAT_RIGS[case]
     pictures(tmp_path, [folder + pattern.format(c=c, t=t) for c in range(cameras) for t in range(times)])
-    capture = recognise(tmp_path)
+    capture = recognise(tmp_path, fps=30)
     assert capture.facts["cameras"] == 1 and capture.facts["times"] == cameras * times
     (note,) = capture.notes
     assert counts.replace(", ", f", {folder}").replace("to ", f"to {folder}") in note and "ONE camera over time" in note
@@ -174,7 +174,7 @@ WORDS = {
 def test_other_words_for_the_same_numbers_are_told(tmp_path, case):
     names, first = WORDS[case]
     pictures(tmp_path, names)
-    capture = recognise(tmp_path)
+    capture = recognise(tmp_path, fps=30)
     assert capture.facts["cameras"] == 1 and capture.facts["times"] == len(names)
     (note,) = capture.notes
     assert f"(first {first})" in note and "ONE camera over time" in note

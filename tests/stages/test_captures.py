@@ -68,6 +68,7 @@ def test_n3v_cameras_may_be_folders(n3v_capture, tmp_path):
             Image.new("RGB", (80, 64)).save(tmp_path / f"cam{camera:02d}" / f"{t}.png")
     facts = recognise(tmp_path).facts
     assert (facts["format"], facts["frames"], facts["times"], facts["images_in_files"], facts["pairs"]) == ("n3v", 12, 3, True, 6)
+    np.testing.assert_allclose(np.unique(recognise(tmp_path, every=2, fps=10).seconds), [0, 0.2], err_msg="as for a folder of images")
 
 
 def test_panoptic(panoptic_capture):
@@ -317,6 +318,25 @@ def test_folder_of_images_is_one_camera_over_time(images_capture):
     assert capture.K is None and capture.seconds[-1] == pytest.approx(9 / 30)
     third = recognise(images_capture.root, every=3, fps=25)
     np.testing.assert_allclose(third.seconds, np.arange(0, 10, 3) / 25, err_msg="images that are not taken have had their time, too")
+
+
+def assumed(capture):
+    return sum("no file says how fast" in note and "30 a second" in note and "--set frames.fps=" in note for note in capture.notes)
+
+
+def test_a_rate_that_no_file_states_is_told(images_capture, colmap_capture, nerfstudio_capture, dnerf_capture, n3v_capture, tmp_path):
+    """Where times differ, and are more than shares of the whole. With a rate, pictures that are missing have had their time."""
+    for root in (images_capture.root, colmap_capture.root, nerfstudio_capture.root):
+        assert (assumed(recognise(root)), assumed(recognise(root, static=True)), assumed(recognise(root, fps=24))) == (1, 0, 0), root
+    assert not assumed(recognise(dnerf_capture.root)) and not assumed(recognise(n3v_capture.root))
+    own = shutil.copytree(nerfstudio_capture.root, tmp_path / "own")
+    edit(own / "transforms.json", lambda data: data.update(fps=24))
+    assert not assumed(recognise(own))
+    gone = shutil.copytree(colmap_capture.root, tmp_path / "gone")
+    before = recognise(gone, fps=10)
+    (gone / before.images[3]).unlink()
+    after = recognise(gone, fps=10)
+    np.testing.assert_allclose(after.seconds, np.delete(before.seconds, 3))
 
 
 def test_images_sort_naturally_and_other_files_are_ignored(tmp_path):

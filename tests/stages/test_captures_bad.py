@@ -157,7 +157,7 @@ def test_links_are_followed_wherever_they_lead(tmp_path):
     for target in (tmp_path / "elsewhere.png", "0.png"):
         (root / "1.png").unlink()
         (root / "1.png").symlink_to(target)
-        assert recognise(root).facts["frames"] == 3 and recognise(root).notes == (STANDS_STILL,)
+        assert recognise(root, fps=30).facts["frames"] == 3 and recognise(root, fps=30).notes == (STANDS_STILL,)
 
 
 def test_frames_without_an_image_are_left_out_and_counted(tmp_path):
@@ -503,9 +503,9 @@ def test_a_file_of_several_pictures_comes_with_a_command_that_makes_a_folder_of_
 def test_files_of_several_pictures_among_others_are_told(tmp_path):
     for i in range(3):
         Image.new("RGB", (32, 24)).save(tmp_path / f"{i}.png")
-    assert recognise(tmp_path).notes == ()
+    assert recognise(tmp_path, fps=30).notes == ()
     animation(tmp_path / "3.tif", sizes=((32, 24), (8, 6)))  # its second page is a preview
-    assert recognise(tmp_path).notes == ()
+    assert recognise(tmp_path, fps=30).notes == ()
     animation(tmp_path / "4.webp")
-    (line,) = recognise(tmp_path).notes
+    (line,) = recognise(tmp_path, fps=30).notes
     assert line.startswith("1 file holds several pictures (first 4.webp), of which only the first is read")

@@ -54,7 +54,7 @@ TEXTS = {
 @pytest.mark.parametrize("case", TEXTS)
 def test_text_is_read_as_colmap_reads_it(root, written, case):
     rewrite(root, TEXTS[case])
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert_truth(capture, written)
     assert not capture.notes
 
@@ -62,14 +62,14 @@ def test_text_is_read_as_colmap_reads_it(root, written, case):
 def test_byte_order_marks(root, written):
     for file in (root / "sparse/0").glob("*.txt"):
         file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes().replace(b"\n", b"\r\n"))
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert_truth(capture, written)
     assert len(capture.points) > 100 and not capture.notes
 
 
 def test_images_without_lines_of_keypoints_are_all_read_if_no_line_can_be_another_thing(root, written):
     rewrite(root, lambda rows: "# by hand\n" + "\n".join(rows) + "\n")
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert_truth(capture, written)
     (note,) = capture.notes
     assert "images.txt has no lines of keypoints" in note and "12 lines" in note
@@ -276,7 +276,7 @@ def renamed(root, stem, page, suffix):
 @pytest.mark.parametrize(("page", "stem"), [("cp936", "照片_"), ("cp932", "ソ写真_"), ("cp1252", "Küche_")])
 def test_names_in_a_code_page_are_read_if_pictures_have_them(root, written, suffix, page, stem):
     renamed(root, stem, page, suffix)
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     views = dict(zip(written.files, written.views, strict=True))
     assert len(capture.names) == 12
     for name, pose in zip(capture.names, capture.cam_from_world, strict=True):
@@ -300,7 +300,7 @@ def test_images_without_lines_of_keypoints_may_have_names_in_a_code_page(root):
     renamed(root, "照片_", "cp936", ".txt")
     rewritten = (root / "sparse/0/images.txt").read_bytes().replace(b"\n\n", b"\n")
     (root / "sparse/0/images.txt").write_bytes(rewritten)
-    (note,) = recognise(root).notes
+    (note,) = recognise(root, fps=30).notes
     assert "code page cp936" in note and "no lines of keypoints" in note
 
 
@@ -344,22 +344,22 @@ def test_points_may_lie_in_a_ply_file_alone(root, written):
     """As programs for Gaussian splatting keep them, which write it at their first run and read no other file then."""
     (root / "sparse/0/points3D.txt").unlink()
     file = ply(root / "sparse/0/points3D.ply", np.arange(1500).reshape(-1, 3) / 100)
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert_truth(capture, written)
     assert file in capture.files and not capture.notes
     np.testing.assert_allclose(capture.points, np.arange(1500).reshape(-1, 3) / 100)
     assert (capture.point_colors == (10, 20, 30)).all()
     ply(root / "sparse/0/points3D.ply", [], ending="x")
     with pytest.raises(CaptureError, match=r"sparse/0/points3D\.ply: element vertex has no count"):
-        recognise(root)
+        recognise(root, fps=30)
 
 
 @pytest.mark.parametrize("more", [0, 300, -50])
 def test_a_ply_file_with_another_number_of_points_is_read_and_told(root, more):
-    own = recognise(root).points
+    own = recognise(root, fps=30).points
     assert len(own) > 100
     file = ply(root / "sparse/0/points3D.ply", np.ones((len(own) + more, 3)))
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert file in capture.files and "sparse/0/points3D.txt" in capture.files
     if more == 0:
         np.testing.assert_array_equal(capture.points, own)
@@ -373,9 +373,9 @@ def test_a_ply_file_with_another_number_of_points_is_read_and_told(root, more):
 
 
 def test_a_damaged_ply_file_leaves_the_points_of_the_model(root):
-    own = recognise(root).points
+    own = recognise(root, fps=30).points
     ply(root / "sparse/0/points3D.ply", np.ones((3, 3)), ending="0")
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     np.testing.assert_array_equal(capture.points, own)
     (note,) = capture.notes
     assert (

@@ -75,7 +75,7 @@ def assert_truth(capture, truth):
 @pytest.mark.parametrize("name", [own_counters, one_name])
 def test_pictures_of_a_frame_show_one_time(tmp_path, name, text):
     truth = rig(tmp_path, name, text=text)
-    capture = recognise(tmp_path)
+    capture = recognise(tmp_path, fps=30)
     assert (capture.facts["cameras"], capture.facts["times"], capture.facts["fixed_cameras"]) == (3, TIMES, False)
     assert_truth(capture, truth)
     file = f"sparse/0/frames.{'txt' if text else 'bin'}"
@@ -98,7 +98,7 @@ def test_frames_of_one_picture_each_tell_nothing(tmp_path):
 
 def test_of_several_rigs_names_tell_the_times_and_it_is_said(tmp_path):
     truth = rig(tmp_path, one_name, rigs=2)
-    capture = recognise(tmp_path)
+    capture = recognise(tmp_path, fps=30)
     assert_truth(capture, truth)
     (note,) = capture.notes
     assert note.startswith("sparse/0/frames.bin is not followed: its frames are of 2 rigs") and note.endswith("the names of the pictures")
@@ -108,7 +108,7 @@ def test_frames_of_another_model_are_not_followed(tmp_path):
     rig(tmp_path / "a", one_name)
     rig(tmp_path / "b", one_name, leave_out=[(2, 3)])
     (tmp_path / "a/sparse/0/frames.bin").write_bytes((tmp_path / "b/sparse/0/frames.bin").read_bytes())
-    capture = recognise(tmp_path / "a")
+    capture = recognise(tmp_path / "a", fps=30)
     assert (capture.facts["cameras"], capture.facts["times"]) == (3, TIMES)
     (note,) = capture.notes
     assert "frames.bin is not followed: 1 image of the model (first cam2/003.png) is in none of its frames" in note

@@ -33,7 +33,7 @@ def lines(root):
 
 def test_folders_with_frames_of_the_same_names_are_cameras(rig):
     root, views = rig
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     facts = capture.facts
     assert (facts["cameras"], facts["times"], facts["frames"], facts["fixed_cameras"], facts["static"]) == (3, 4, 12, True, False)
     assert facts["why"] == "a COLMAP model in sparse/0, 3 cameras" and not capture.notes
@@ -41,7 +41,7 @@ def test_folders_with_frames_of_the_same_names_are_cameras(rig):
         view = views[name]
         assert (capture.camera[i], capture.time[i]) == (view.camera_index, pytest.approx(view.time_index / 3))
         np.testing.assert_allclose(capture.cam_from_world[i], view.camera.cam_from_world, atol=1e-9)
-    following = recognise(root, holdout=0).next
+    following = recognise(root, holdout=0, fps=30).next
     np.testing.assert_array_equal(following, [1, 2, 3, -1, 5, 6, 7, -1, 9, 10, 11, -1])
 
 
@@ -114,7 +114,7 @@ def test_folders_with_other_frames_are_one_camera_over_time_with_a_note(rig, cha
             file.rename(file.with_name(f"late{file.name}"))
         kept = [line.replace("cam2/", "cam2/late") for line in kept]
     (root / "sparse/0/images.txt").write_text("\n".join(kept) + "\n")
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert (capture.facts["cameras"], capture.facts["times"]) == (1, len(capture.names))
     (note,) = capture.notes
     assert "3 folders of images do not hold files of the same names (4 in images/cam0" in note and "one camera over time" in note
@@ -136,7 +136,7 @@ def test_folders_with_one_frame_each_show_one_time(rig):
 def test_a_deleted_picture_leaves_the_rig_one(rig):
     root, views = rig
     (root / "images/cam1/001.png").unlink()
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert (capture.facts["cameras"], capture.facts["times"], capture.facts["frames"]) == (3, 4, 11)
     np.testing.assert_allclose(capture.time, [views[name].time_index / 3 for name in capture.names])
     (note,) = capture.notes
@@ -176,7 +176,7 @@ def test_one_pose_for_each_folder_holds_for_all_of_its_pictures(rig, posed):
     """As where a rig was calibrated on its first frames alone: the cameras stand still."""
     root, views = rig
     only_posed(root, lambda name: any(name == f"cam{camera}/{frame}.png" for camera, frame in posed.items()))
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     facts = capture.facts
     assert (facts["cameras"], facts["times"], facts["frames"], facts["fixed_cameras"], facts["static"]) == (3, 4, 12, True, False)
     for i, name in enumerate(capture.names):

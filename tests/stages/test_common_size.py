@@ -95,7 +95,7 @@ def test_the_commonest_size_and_of_equals_the_smaller():
 
 def test_what_is_lost_is_said(tmp_path):
     capture = write_images(make(PATH), tmp_path / "photos")
-    turned, note = recognise(capture.root).notes
+    turned, note = recognise(capture.root, fps=30).notes
     assert turned == "2 of 8 pictures stand across the others (first 003.png): they are turned by a quarter, so that less is cropped"
     assert note == "2 of 8 pictures are not 80x64 px as most are (first 002.png, 120x96): they are scaled to that size, whole"
 

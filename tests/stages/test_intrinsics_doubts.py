@@ -102,7 +102,7 @@ def test_angles_of_blenders_sensor_do_not_contradict_focal_lengths(changed, case
     root = changed(fl_x=focal, fl_y=focal, **fields)
     for picture in (root / "images").iterdir():
         Image.new("RGB", size).save(picture)
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     np.testing.assert_allclose(capture.K[0], [[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]])
     told = [f"transforms.json: frame 0: fl_x and fl_y are used, and {ignored.format(x=x, y=y)} ignored"] if ignored else []
     assert [note.partition(", because")[0] for note in capture.notes] == told
@@ -110,7 +110,7 @@ def test_angles_of_blenders_sensor_do_not_contradict_focal_lengths(changed, case
         data = json.loads((root / "transforms.json").read_text())
         (root / "transforms.json").write_text(json.dumps(data | wrong))
         with pytest.raises(CaptureError, match="contradict each other"):
-            recognise(root)
+            recognise(root, fps=30)
 
 
 def test_a_view_that_only_a_fisheye_has_is_refused(changed):
@@ -122,10 +122,10 @@ def test_a_view_that_only_a_fisheye_has_is_refused(changed):
 def test_a_principal_point_far_from_the_middle_is_told(changed):
     """cx equals the width: the intrinsics are those of pictures twice as large, whose size is missing."""
     root = changed(w=None, h=None, fl_x=2 * FOCAL, fl_y=2 * FOCAL, cx=40.0, cy=32.0)
-    (note,) = recognise(root).notes
+    (note,) = recognise(root, fps=30).notes
     assert "principal point of 4 picture(s) lies outside the middle half" in note and "give that size (w and h)" in note
-    assert not recognise(changed(cx=28.0)).notes
-    (note,) = recognise(changed(fl_y=2 * FOCAL)).notes
+    assert not recognise(changed(cx=28.0), fps=30).notes
+    (note,) = recognise(changed(fl_y=2 * FOCAL), fps=30).notes
     assert "pixels were not square" in note
 
 

@@ -44,7 +44,7 @@ def assert_truth(capture, written, left=()):
 
 def test_absolute_paths_into_the_capture_are_read(root, written):
     rename(root, lambda path: f"{root}/{path}")
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert_truth(capture, written)
     assert capture.images == written.files and not capture.notes
 
@@ -52,12 +52,12 @@ def test_absolute_paths_into_the_capture_are_read(root, written):
 @pytest.mark.parametrize("place", ["/home/me/scene", "C:\\Users\\me\\scene", "/images"])
 def test_absolute_paths_of_another_machine_are_read_by_their_ends(root, written, place):
     rename(root, lambda path: f"{place}/{path}" if "\\" not in place else f"{place}\\{path.replace('/', chr(92))}")
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert_truth(capture, written)
     (note,) = capture.notes
     assert "12 of 12 frames of transforms.json have absolute paths" in note and "images/000.png" in note
     (root / "images/004.png").unlink()
-    left = recognise(root)
+    left = recognise(root, fps=30)
     assert_truth(left, written, left=(4,))
     assert any("1 of 12 frames" in note and "no image" in note and "004.png" in note for note in left.notes)
 
@@ -81,7 +81,7 @@ def test_names_in_another_unicode_form_are_found(root, written, on_disk):
 def test_pictures_that_moved_together_are_found_by_name(root, written):
     for file in (root / "images").iterdir():
         file.rename(root / file.name)
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert_truth(capture, written)
     (note,) = capture.notes
     assert "12 of 12 frames" in note and "'images/000.png', read from 000.png" in note
@@ -124,7 +124,7 @@ LISTS = {
 def test_any_list_of_frames_counts(root, case):
     lists, expected, words = LISTS[case]
     edit(root, lambda data: data.update({f"{k}_filenames": [f"./images/{i:03d}.png" for i in v] for k, v in lists.items()}))
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     split = {int(name[7:10]): int(s) for name, s in zip(capture.names, capture.split, strict=True)}
     assert split == {i: expected.get(i, 0) for i in range(12) if expected.get(i, 0) is not None}
     assert any(words in note for note in capture.notes) if words else not capture.notes
@@ -134,7 +134,7 @@ def test_lists_may_name_what_no_frame_has_or_what_was_deleted(root):
     names = [f"images/{i:03d}.png" for i in range(12)]
     edit(root, lambda data: data.update(train_filenames=names[:9], test_filenames=[*names[9:], "images/other.png"]))
     (root / "images/010.png").unlink()
-    notes = recognise(root).notes
+    notes = recognise(root, fps=30).notes
     assert any("1 entry of the lists" in note and "images/other.png" in note for note in notes)
     assert any("1 of 12 frames of transforms.json have no image" in note for note in notes) and len(notes) == 2
 
@@ -194,7 +194,7 @@ def test_lists_may_be_absolute_where_frames_are_relative(root):
 @pytest.mark.parametrize("change", [str.upper, lambda suffix: ".jpg"])
 def test_names_with_another_suffix_than_the_files_are_read(root, written, change):
     rename(root, lambda path: path.replace(".png", change(".png")))
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert_truth(capture, written)
     (note,) = capture.notes
     assert "12 of 12 frames of transforms.json have other capital letters or another suffix" in note

@@ -352,7 +352,7 @@ def test_grey_of_16_bits_with_the_name_of_a_picture_is_its_depth(tmp_path):
     root = pictures(tmp_path / "s", [f"{i}.jpg" for i in range(4)])
     for i in range(3):
         Image.fromarray(np.full((12, 16), 1000, np.uint16)).save(root / f"{i}.png")
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert capture.names == ("0.jpg", "1.jpg", "2.jpg", "3.jpg")
     assert capture.notes == (
         "3 pictures of 16 bits of grey with the name of another picture (first 0.png) are taken for its depth and are not read",
@@ -363,7 +363,7 @@ def test_grey_of_16_bits_with_the_name_of_a_picture_is_its_depth(tmp_path):
     alone.mkdir()
     for i in range(3):
         Image.fromarray(np.full((12, 16), 1000, np.uint16)).save(alone / f"{i}.png")
-    assert recognise(alone).facts["frames"] == 3, "pictures of 16 bits of grey are pictures"
+    assert recognise(alone, fps=30).facts["frames"] == 3, "pictures of 16 bits of grey are pictures"
 
 
 def test_every_picture_twice_is_a_question(tmp_path):
@@ -508,12 +508,12 @@ def test_a_copy_of_a_photo_is_no_time_of_its_own(tmp_path, name):
     root = photos(tmp_path)
     source = next(part for part in ("IMG_0", "IMG_1", "IMG_2") if part in name)
     shutil.copy(root / f"{source}.JPG", root / name)
-    capture = recognise(root)
+    capture = recognise(root, fps=30)
     assert capture.images == tuple(f"IMG_{i}.JPG" for i in range(4))
     assert capture.notes == (f"{name} is left out: it is a copy of {source}.JPG, byte for byte",)
     assert name in capture.files  # the result changes if it does
     (root / name).write_bytes((root / "IMG_3.JPG").read_bytes())  # another picture
-    assert recognise(root).facts["frames"] == 5 and recognise(root).notes == ()
+    assert recognise(root, fps=30).facts["frames"] == 5 and recognise(root, fps=30).notes == ()
 
 
 @pytest.mark.parametrize("count", [1, 3, 6])
@@ -560,7 +560,7 @@ def test_photos_with_the_same_bytes_are_times_of_a_scene_that_stands_still(tmp_p
     root = pictures(tmp_path / "photos", ["a (1).png"])
     for i in range(2, 5):
         shutil.copy(root / "a (1).png", root / f"a ({i}).png")
-    assert recognise(root).facts["frames"] == 4 and recognise(root).notes == ()
+    assert recognise(root, fps=30).facts["frames"] == 4 and recognise(root, fps=30).notes == ()
 
 
 def test_a_copy_of_a_video_is_no_camera(videos_capture, tmp_path):

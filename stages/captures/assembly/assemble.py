@@ -18,7 +18,7 @@ from .far_away import brought_near, told_moved
 from .one_place import joined_place
 from .quarter_turns import told as told_turned
 from .quarter_turns import turned_alike
-from .timeline import Timeline, timeline
+from .timeline import Timeline, timeline, told_rate
 
 
 def assemble(root: Path, given: Path, name: str, kind: str, reading: Reading, options: Options) -> Capture:
@@ -36,7 +36,13 @@ def assemble(root: Path, given: Path, name: str, kind: str, reading: Reading, op
     poses, points, origin = brought_near([s.cam_from_world for s in shots], reading.points)
     crops = [crop(size, common) for size in sizes]
     width, height = _output_size(*common, options.size_limit)
-    notes = [*reading.notes, *when.notes, *([] if origin is None else [told_moved(origin)]), *([STANDS_STILL] if stands else [])]
+    notes = [
+        *reading.notes,
+        *when.notes,
+        *told_rate(kind, reading, options, when),
+        *([] if origin is None else [told_moved(origin)]),
+        *([STANDS_STILL] if stands else []),
+    ]
     chosen = {}
     if options.max_size is None and options.usual is not None and (width, height) != common:
         chosen["max_size"] = options.usual.size

@@ -45,7 +45,8 @@ def timeline(given: Path, reading: Reading, options: Options) -> Timeline:
     times = len(np.unique(np.round(time, 9)))
     static = options.static or times == 1
     fps = options.fps or reading.fps or DEFAULT_FPS
-    seconds = np.array([t * (times - 1) / fps if s.seconds is None else s.seconds for s, t in zip(shots, time, strict=True)])
+    steps = [t * (times - 1) if s.step is None else s.step for s, t in zip(shots, time, strict=True)]
+    seconds = np.array([step / fps if s.seconds is None else s.seconds for s, step in zip(shots, steps, strict=True)])
     index = {key: i for i, key in enumerate(sorted({s.camera for s in shots}))}
     camera = np.array([index[s.camera] for s in shots], dtype=np.int32)
     if options.every_time > 1:
@@ -55,6 +56,16 @@ def timeline(given: Path, reading: Reading, options: Options) -> Timeline:
         notes = (skipping.told(split, time, options.every_time),)
     following = np.full(len(shots), -1, np.int32) if static else _next_frames(shots, camera, time, split)
     return Timeline(split, camera, time, seconds, following, times, len(index), static, notes)
+
+
+def told_rate(kind: str, reading: Reading, options: Options, when: Timeline) -> list[str]:
+    """A line where neither a file nor a setting says how fast pictures follow. In D-NeRF's sets times are shares of the whole."""
+    if when.static or kind == "dnerf" or options.fps or reading.fps or all(shot.seconds is not None for shot in reading.shots):
+        return []
+    return [
+        f"no file says how fast the pictures follow each other: {DEFAULT_FPS:g} a second are assumed; --set frames.fps=24 for another rate "
+        "(of no account if nothing moves)"
+    ]
 
 
 def _splits(given: Path, reading: Reading, options: Options) -> np.ndarray:

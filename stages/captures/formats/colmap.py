@@ -68,9 +68,9 @@ def read(root: Path, options: Options) -> Reading:
     found_at = zip(posed, sizes, strict=True)
     shots = [_shot(root, images[i], path, size, cameras, files) for (i, path), size in found_at]
     registered = [images[i] for i, _ in posed]
-    placed, unfollowed = place_frames(model, registered, shots, options.fps) if standing is None else (None, None)
+    placed, unfollowed = place_frames(model, registered, shots) if standing is None else (None, None)
     if placed is None:
-        placed = place_untimed(root, shots, options.static, options.fps, deleted)
+        placed = place_untimed(root, shots, options.static, deleted)
     masked = add_masks(root, shots, model.pictures)
     copies = _copies(root, model.pictures)
     notes = (

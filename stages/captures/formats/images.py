@@ -21,7 +21,7 @@ from ..listing.unread import described
 from ..panorama import refuse_pictures
 from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
 from ..posed.camera_matrix import told as told_matrix
-from ..reading import DEFAULT_FPS, Options, Reading, Shot
+from ..reading import Options, Reading, Shot
 from . import video
 
 _COPY = re.compile(r"images_\d+")
@@ -68,7 +68,7 @@ def read(root: Path, options: Options) -> Reading:
     ]
     if len(taken) < clock[-1] + 1:  # those that were not taken, or are missing, have had their time, too
         for i, shot in zip(taken, shots, strict=True):
-            shot.seconds = clock[i] / (options.fps or DEFAULT_FPS)
+            shot.step = clock[i]
     masked = add_masks(root, shots, prefix)
     if upright:
         turn_masks(root, shots)

@@ -122,7 +122,10 @@ def _from_folders(root: Path, cameras: list[str], options: Options) -> Reading:
     taken = video.choose(total, options, None)
     taken_files = [(c, i, files[c][i]) for c in cameras for i in taken]
     sizes, alpha = checks.image_headers(root, [file for _, _, file in taken_files])
-    shots = [Shot(file, c, float(i), size, file=file) for (c, i, file), size in zip(taken_files, sizes, strict=True)]
+    shots = [
+        Shot(file, c, float(i), size, file=file, step=i if len(taken) < total else None)
+        for (c, i, file), size in zip(taken_files, sizes, strict=True)
+    ]
     first: dict[str, Shot] = {}
     for shot in shots:
         if shot.size != (one := first.setdefault(shot.camera, shot)).size:

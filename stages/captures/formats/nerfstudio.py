@@ -53,7 +53,7 @@ def read(root: Path, options: Options) -> Reading:
     placed = Placed(False)
     if times is None:
         flat = any(posixpath.basename(posixpath.dirname(path)).lower() in SPLIT_WORDS for path in paths.values())
-        placed = place_untimed(root, shots, options.static, options.fps or _fps(data), flat=flat)
+        placed = place_untimed(root, shots, options.static, flat=flat)
     fixed = fixed_cameras(shots)
     if not fixed and times is not None:
         moving_cameras(shots)

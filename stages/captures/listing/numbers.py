@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
 
-from ..reading import DEFAULT_FPS, Shot
+from ..reading import Shot
 from .names import decimal_of
 
 _LEAST_THERE = 0.5  # of the numbers from the first to the last; of more gaps it is not known whether they are pictures that are missing
@@ -101,20 +101,20 @@ def words(names: Sequence[str]) -> tuple[list[str], list[int]] | None:
     return texts, list(differing[0]) if len(differing) == 1 else [place[numbers] for numbers in found]
 
 
-def follow_numbers(shots: Sequence[Shot], fps: float | None) -> tuple[str, ...]:
+def follow_numbers(shots: Sequence[Shot]) -> tuple[str, ...]:
     """Sets the times of ``shots`` of one camera, in order, by the numbers in the names of their files: structure from motion drops frames.
-    fps: see `set_times`. Returns a line for people where numbers are missing or say nothing."""
+    Returns a line for people where numbers are missing or say nothing."""
     clock, told = places([shot.file or shot.name for shot in shots])
-    set_times(shots, clock, clock[-1] >= len(clock), fps)
+    set_times(shots, clock, clock[-1] >= len(clock))
     return (told,) if told else ()
 
 
-def set_times(shots: Sequence[Shot], clock: Sequence[int], gaps: bool, fps: float | None) -> None:
-    """Sets `Shot.time` of each of ``shots`` to its place on the ``clock``, and `Shot.seconds` if there are ``gaps``: places without a
-    picture, whose time has passed, too. fps: places in a second; `DEFAULT_FPS` if None."""
+def set_times(shots: Sequence[Shot], clock: Sequence[int], gaps: bool) -> None:
+    """Sets `Shot.time` of each of ``shots`` to its place on the ``clock``, and `Shot.step` if there are ``gaps``: places without a
+    picture, whose time has passed, too."""
     for shot, at in zip(shots, clock, strict=True):
         shot.time = float(at)
-        shot.seconds = at / (fps or DEFAULT_FPS) if gaps else None
+        shot.step = at if gaps else None
 
 
 def _gap(before: Fraction, after: Fraction, step: Fraction) -> str:

@@ -15,10 +15,10 @@ from .places import Model
 from .records import FrameRecord, ImageRecord
 
 
-def place_frames(model: Model, images: Sequence[ImageRecord], shots: Sequence[Shot], fps: float | None) -> tuple[Placed | None, str | None]:
+def place_frames(model: Model, images: Sequence[ImageRecord], shots: Sequence[Shot]) -> tuple[Placed | None, str | None]:
     """Sets camera and time of each of ``shots``, of ``images``, if the model's frames tell them; and a line if they cannot be followed.
 
-    Frames with one image each, which every model has, tell nothing: (None, None). fps: see `set_times`."""
+    Frames with one image each, which every model has, tell nothing: (None, None)."""
     if all(len(frame.images) < 2 for frame in model.frames):
         return None, None
     file = model.place.file("frames")
@@ -37,7 +37,7 @@ def place_frames(model: Model, images: Sequence[ImageRecord], shots: Sequence[Sh
     clock, gaps, skipped = _clock(list(zip(of_image, images, strict=True)))
     for shot, image in zip(shots, images, strict=True):
         shot.camera = image.camera
-    set_times(shots, [clock[frame.number] for frame in of_image], gaps, fps)
+    set_times(shots, [clock[frame.number] for frame in of_image], gaps)
     cameras = len({image.camera for image in images})
     note = f"{file}: pictures of one frame of the rig show one time ({counted(cameras, 'camera')}, {counted(len(clock), 'frame')})"
     return Placed(cameras > 1, (note, *([skipped] if skipped else ()))), None
