@@ -50,6 +50,10 @@ def test_n3v_rows_belong_to_sorted_cameras_and_cam00_is_test(n3v_capture):
     assert facts["fixed_cameras"] and not facts["images_in_files"] and facts["pairs"] == 15
     assert_cameras(capture, n3v_capture)
     np.testing.assert_array_equal(capture.split[capture.camera == 0], 2)
+    assert any("cam00.mp4 is held out for testing" in note and "frames.holdout=0" in note for note in capture.notes)
+    whole = recognise(n3v_capture.root, holdout=0)
+    assert whole.facts["splits"] == {"train": 24, "val": 0, "test": 0} and whole.facts["why"].endswith("all train")
+    assert not any("held out" in note for note in whole.notes)
 
 
 def test_n3v_focal_length_follows_the_size_of_the_video(n3v_capture, tmp_path):

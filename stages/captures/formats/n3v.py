@@ -1,6 +1,6 @@
 """Plenoptic Video (N3V) and the like: `camNN.mp4` or `camNN/`, and a pose for each camera; fixed synchronised cameras.
 
-The first camera in the plain order of names, cam00, is the test view.
+The first camera in the plain order of names, cam00, is the test view, except with `frames.holdout=0`.
 
 Poses come from `poses_bounds.npy` (rows in the plain order of the cameras' names, see `posed/llff_rows.py`), or, as in the layout
 "multipleview" of 4DGaussians (github.com/hustvl/4DGaussians, `multipleviewprogress.sh` and `scene/multipleview_dataset.py`), from a COLMAP
@@ -70,14 +70,16 @@ def read(root: Path, options: Options) -> Reading:
             K, poses[name] = camera_of(table[i], f"{rows}: row {i} ({name})", root, picture, first[name].size)
             lenses[name] = Lens(K, np.zeros(4))
     for shot in reading.shots:
-        shot.split = TEST if shot.camera == test else TRAIN
+        shot.split = TEST if shot.camera == test and options.holdout else TRAIN
         shot.K, shot.distortion, shot.fisheye = lenses[shot.camera]
         shot.cam_from_world = poses[shot.camera]
     source = f"the COLMAP model in {model.where}" if model is not None else str(rows)
-    reading.why = f"{len(cameras)} cameras {'as videos' if use_movies else 'as folders'} + {source}, {test} is test"
+    reading.why = f"{len(cameras)} cameras {'as videos' if use_movies else 'as folders'} + {source}, {f'{test} is test' if options.holdout else 'all train'}"
     reading.sources = model.files if model is not None else (str(rows),)
     reading.fixed_cameras = True
-    reading.has_split = True
+    reading.has_split = options.holdout > 0
+    if reading.has_split:
+        reading.notes += (f"{test} is held out for testing, as is the custom of this layout; --set frames.holdout=0 trains on it, too",)
     if unposed:
         reading.notes += (
             f"{len(unposed)} of {len(unposed) + len(cameras)} cameras have no pose in {source} and are left out: {', '.join(unposed)}",
