@@ -11,6 +11,8 @@ from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import FORMATS, recognise
 from factory import Options, make
 from factory.scans import llff_row, write_llff, write_multiview, write_polycam, write_record3d, write_rgbd, write_tum
+from PIL import Image
+from scipy.spatial.transform import Rotation
 
 PATH = Options(backdrop="room", rig="path", times=12, width=40, height=32, samples=1, fov_degrees=60.0)
 RIG = Options(backdrop="room", rig="arc", cameras=11, times=2, width=40, height=32, samples=1, fov_degrees=60.0)
@@ -52,8 +54,6 @@ def test_llff_rows_belong_to_pictures_in_plain_order(path, tmp_path, name):
 def test_llff_takes_copies_by_the_size_that_is_asked_for(path, tmp_path):
     write_llff(path, tmp_path)
     shutil.copytree(tmp_path / "images", tmp_path / "images_4")
-    from PIL import Image
-
     for file in (tmp_path / "images_4").iterdir():
         Image.open(file).resize((20, 16)).save(file)
     full, small = recognise(tmp_path), recognise(tmp_path, max_size=20)
@@ -73,6 +73,34 @@ def test_multiview_of_4dgaussians(tmp_path, model):
     assert_truth(capture, written)
     np.testing.assert_array_equal(capture.split[capture.camera == 0], 2)
     assert any("poses_bounds_multipleview.npy" in note and ("not read" in note) is model for note in capture.notes)
+
+
+@pytest.mark.parametrize("images", [False, True])
+def test_videos_of_a_rig_may_have_the_names_of_the_images_of_the_model(n3v_capture, tmp_path, images):
+    """Of action cameras, say; with the pictures beside the model or without."""
+    views = {view.camera_index: view for view in n3v_capture.views}
+    rows = ["1 PINHOLE 80 64 " + " ".join(str(views[0].camera.K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))]
+    names = dict(zip(sorted(views), ("GX010034", "left", "A", "GX020035"), strict=True))
+    posed = []
+    for k, name in names.items():
+        shutil.copy(n3v_capture.root / f"cam{k:02d}.mp4", tmp_path / f"{name}.MP4")
+        pose = views[k].camera.cam_from_world
+        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        posed.append(f"{k + 1} {w} {x} {y} {z} {' '.join(map(str, pose[:3, 3]))} 1 {name}.jpg\n")
+        if images:
+            (tmp_path / "images").mkdir(exist_ok=True)
+            Image.new("RGB", (80, 64)).save(tmp_path / "images" / f"{name}.jpg")
+    (tmp_path / "sparse/0").mkdir(parents=True)
+    (tmp_path / "sparse/0/cameras.txt").write_text("\n".join(rows))
+    (tmp_path / "sparse/0/images.txt").write_text("\n".join(posed) + "\n")
+    capture = recognise(tmp_path)
+    assert (capture.facts["format"], capture.facts["cameras"], capture.facts["times"]) == ("n3v", 4, 6)
+    for name, pose in zip(capture.names, capture.cam_from_world, strict=True):
+        k = next(k for k, own in names.items() if name.startswith(f"{own}.MP4"))
+        np.testing.assert_allclose(pose, views[k].camera.cam_from_world, atol=1e-8)
+    (tmp_path / "left.MP4").rename(tmp_path / "right.MP4")  # a name that the model has not: half of the cameras are no longer its own
+    (tmp_path / "A.MP4").rename(tmp_path / "B.MP4")
+    assert recognise(tmp_path).facts["format"] == ("colmap" if images else "videos")
 
 
 def test_rows_of_poses_belong_to_cameras_in_plain_order(tmp_path):

@@ -1,4 +1,5 @@
 """Plenoptic Video (N3V) and the like: `camNN.mp4` or `camNN/`, and a pose for each camera; fixed synchronised cameras.
+Videos of other names are read where a COLMAP model has one image of each, named like it.
 
 The first camera in the plain order of names, cam00, is the test view, except with `frames.holdout=0`.
 
@@ -17,6 +18,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..lens import Lens
+from ..listing.names import is_video
 from ..ply_points import add_points
 from ..posed.llff_rows import camera_of, rows_of, told_order
 from ..posed.stated import states_layout
@@ -32,14 +34,14 @@ _NAME = re.compile(r"cam(era)?[_-]?\d+", re.IGNORECASE)
 
 
 def detect(root: Path) -> str | None:
-    count = max(len(_videos(root)), len(_folders(root)))
-    if not count:
+    cameras = _cameras(root)[0]
+    if not cameras:
         return None
     for file in (_POSES, _MULTIVIEW):
         if (root / file).is_file() and not (file == _MULTIVIEW and states_layout(root)):
-            return f"{file} and {count} cameras"
-    model = None if states_layout(root) else model_of_cameras(root, _cameras(root)[0])
-    return None if model is None else f"a COLMAP model of {count} cameras in {model.where}"
+            return f"{file} and {len(cameras)} cameras"
+    model = None if states_layout(root) else model_of_cameras(root, cameras)
+    return None if model is None else f"a COLMAP model of {len(cameras)} cameras in {model.where}"
 
 
 def read(root: Path, options: Options) -> Reading:
@@ -74,7 +76,8 @@ def read(root: Path, options: Options) -> Reading:
         shot.K, shot.distortion, shot.fisheye = lenses[shot.camera]
         shot.cam_from_world = poses[shot.camera]
     source = f"the COLMAP model in {model.where}" if model is not None else str(rows)
-    reading.why = f"{len(cameras)} cameras {'as videos' if use_movies else 'as folders'} + {source}, {f'{test} is test' if options.holdout else 'all train'}"
+    kind, held = "videos" if use_movies else "folders", f"{test} is test" if options.holdout else "all train"
+    reading.why = f"{len(cameras)} cameras as {kind} + {source}, {held}"
     reading.sources = model.files if model is not None else (str(rows),)
     reading.fixed_cameras = True
     reading.has_split = options.holdout > 0
@@ -107,7 +110,7 @@ def _add_rest(root: Path, reading: Reading, rows: str | None, modelled: bool, ca
 
 def _from_videos(root: Path, cameras: list[str], options: Options) -> Reading:
     headers = {name: video.survey(root, name) for name in cameras}
-    _same_counts({name: len(h.seconds) for name, h in headers.items()})
+    _same_counts({name: len(h.seconds) for name, h in headers.items()}, "; --format videos aligns their clocks, without these poses")
     first = headers[cameras[0]]
     sizes = {name: (header.width, header.height) for name, header in headers.items()}
     total = len(first.seconds)
@@ -153,32 +156,25 @@ def _note(taken: tuple[int, ...], total: int) -> tuple[str, ...]:
     return (f"took {len(taken)} of {total} times",) if len(taken) < total else ()
 
 
-def _same_counts(counts: dict[str, int]) -> None:
+def _same_counts(counts: dict[str, int], also: str = "") -> None:
     if len(set(counts.values())) > 1:
         short = min(counts, key=lambda name: counts[name])
         raise CaptureError(
             f"{short}: {counts[short]} frames, other cameras have up to {max(counts.values())}; synchronised cameras need equal counts, "
-            "copy it again or trim the others"
+            f"copy it again or trim the others{also}"
         )
 
 
 def _cameras(root: Path) -> tuple[list[str], bool]:
     """The cameras in the plain order of their names (as the loaders of this layout sort), and whether they are videos."""
-    movies, folders = _videos(root), _folders(root)
+    listed = checks.list_folder(root) if root.is_dir() else []
+    folders = [name for name in listed if _NAME.fullmatch(name) and (root / name).is_dir()]
+    videos = [name for name in listed if is_video(name) and (root / name).is_file()]
+    movies = [name for name in videos if _NAME.fullmatch(name.rsplit(".", 1)[0])]
+    if not movies and not folders and len(videos) > 1 and model_of_cameras(root, videos) is not None:
+        movies = videos  # whatever their names: the model has them
     use_movies = len(movies) > 0 and len(movies) >= len(folders)
     return sorted(movies if use_movies else folders), use_movies
-
-
-def _videos(root: Path) -> list[str]:
-    return [
-        name
-        for name in (checks.list_folder(root) if root.is_dir() else [])
-        if _NAME.fullmatch(name.rsplit(".", 1)[0]) and name.lower().endswith(checks.VIDEO_SUFFIXES) and (root / name).is_file()
-    ]
-
-
-def _folders(root: Path) -> list[str]:
-    return [name for name in (checks.list_folder(root) if root.is_dir() else []) if _NAME.fullmatch(name) and (root / name).is_dir()]
 
 
 def _frames_of(root: Path, camera: str) -> list[str]:
