@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -64,7 +65,12 @@ def recognise(path: str | Path, format: str | None = None, **settings: Any) -> C
         raise CaptureError(f"{root}: frames.every and frames.max_frames thin {', '.join(_STEPPED)}, not {kind}; leave them unset")
     if options.sync is not None and kind != "videos":
         raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
-    reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
+    try:
+        reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
+    except CaptureError as error:
+        if format is None and root.is_file() and kind_of(root.name) is None:  # it may have been a video all the same
+            raise CaptureError(f"{root}: no kind of file that is known; pass pictures or videos ({error})") from error
+        raise
     if options.fps is not None and any(shot.seconds is not None for shot in reading.shots):
         raise CaptureError(
             f"{root}: frames.fps is for pictures without times, but the layout {kind} has its own; leave it unset, or give a video another "
@@ -120,11 +126,14 @@ def _existing(path: Path) -> Path:
         raise CaptureError(apart(root, found))
     if root.is_file() and root.suffix.lower() in (".json", ".npy", *checks.IMAGE_SUFFIXES):
         raise CaptureError(f"{path}: this is one file of a capture; pass its folder {root.parent}")
-    if root.is_file() and (known := kind_of(root.name)) is not None and known.group == "picture":
+    known = kind_of(root.name) if root.is_file() else None
+    if known is not None and known.group == "picture":
         advice = f"of a kind that is not read; {known.advice}, and pass their folder"
         raise CaptureError(f"{path}: this is one picture of a capture ({known.one}), {advice}")
     if (archive := archive_kind(root)) is not None:
         raise CaptureError(f"{path}: this is an archive ({archive}); unpack it and pass its folder")
+    if known is not None and known.group != "video":
+        raise CaptureError(f"{path}: a file of this kind ({known.one}) is no capture; pass the pictures or videos that it was made of")
     return root
 
 
@@ -181,7 +190,9 @@ def _advice(root: Path) -> str:
             return f"{named}: pass the one that holds images or videos, or add transforms.json{there}"
         return f"{named}, with no picture or video in any: copy them there, or pass another folder{there}"
     known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
-    return f"Expected a video or several of one event, images, {known}{there}"
+    odd = Counter(Path(name).suffix for name in names if kind_of(name) is None and Path(name).suffix).most_common(1)
+    unknown = f". No kind of file that is known ends in {odd[0][0]} (here {odd[0][1]})" if odd else ""
+    return f"Expected a video or several of one event, images, {known}{there}{unknown}"
 
 
 def _inside(root: Path, folders: list[str]) -> list[str]:

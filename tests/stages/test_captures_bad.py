@@ -509,3 +509,27 @@ def test_files_of_several_pictures_among_others_are_told(tmp_path):
     animation(tmp_path / "4.webp")
     (line,) = recognise(tmp_path, fps=30).notes
     assert line.startswith("1 file holds several pictures (first 4.webp), of which only the first is read")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("scene.ply", "(point cloud) is no capture; pass the pictures or videos"),
+        ("scene.splat", "(mesh or splat file) is no capture; pass the pictures or videos"),
+        ("poses.txt", "(pose file) is no capture"),
+        ("model.blend", "no kind of file that is known"),
+        ("images.bin", "no kind of file that is known"),
+        ("one.svo2", "a video of a kind that cannot be read (SVO2 video)"),
+        ("a.arx", "one picture of a capture (ARX picture)"),
+        ("clip.mp4", "not a video: it looks like a text file"),
+    ],
+)
+def test_a_file_that_is_no_capture_is_told_by_its_kind(tmp_path, name, words):
+    (tmp_path / name).write_bytes(b"ply\nformat ascii 1.0\n" * 50)
+    refused(tmp_path / name, words)
+
+
+def test_the_commonest_unknown_suffix_of_a_folder_is_told(tmp_path):
+    for name in ("a.xyzzy", "b.xyzzy", "c.odd"):
+        (tmp_path / name).write_bytes(b"1")
+    refused(tmp_path, "nothing recognised here", "No kind of file that is known ends in .xyzzy (here 2)")
