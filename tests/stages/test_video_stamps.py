@@ -150,6 +150,13 @@ def test_raw_streams_say_that_their_times_are_assumed_at_the_rate_of_their_heade
     assert capture.facts["frames"] == 8 and capture.seconds[-1] == pytest.approx(7 / rate)
 
 
+def test_raw_streams_in_a_folder_are_the_videos_of_a_rig(tmp_path):
+    for k, name in enumerate(("cam0.h264", "cam1.264", "cam2.H264")):
+        encode(tmp_path / name, levels(8 + k), "libx264", None, rate=50)
+    facts = recognise(tmp_path).facts
+    assert (facts["format"], facts["cameras"], facts["frames"]) == ("videos", 3, 24)
+
+
 def test_a_rate_for_frames_with_times_is_refused(video_capture, videos_capture, n3v_capture):
     for capture, kind in ((video_capture, "video"), (videos_capture, "videos"), (n3v_capture, "n3v")):
         with pytest.raises(CaptureError, match=rf"frames\.fps is for pictures without times, but the layout {kind} has its own; leave it"):

@@ -37,10 +37,10 @@ _CLOSED = {  # suffixes of pictures and videos that no layout reads: (name, what
     ".cin": ("Cineon", _LOG),
     ".mpo": ("MPO", _JPEG),
     ".insp": ("INSP", f"export them as JPEG, {_FLAT}"),
-    **{suffix: (suffix[1:].upper(), "export them as JPEG") for suffix in (".lfr", ".lfp")},
+    **{suffix: (suffix[1:].upper(), "export them as JPEG") for suffix in (".lfr", ".lfp", ".ari", ".arx")},
 }
 _CLOSED_VIDEOS = {
-    **{suffix: (suffix[1:].upper(), _MP4) for suffix in (".braw", ".crm", ".rmvb", ".svo", ".bag", ".mcap")},
+    **{suffix: (suffix[1:].upper(), _MP4) for suffix in (".braw", ".crm", ".rmvb", ".svo", ".svo2", ".nev", ".cine", ".bag", ".mcap")},
     ".insv": ("INSV", f"{_MP4}, {_FLAT}"),
     ".osv": ("OSV", f"{_MP4}, {_FLAT}"),
     ".360": ("360", f"{_MP4}, {_FLAT}"),

@@ -20,6 +20,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".webp", ".bmp", ".t
 VIDEO_SUFFIXES = (
     *(".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".mpg", ".mpeg", ".ts", ".gif"),
     *(".mts", ".m2ts", ".m2t", ".3gp", ".3g2", ".wmv", ".asf", ".mxf", ".flv", ".ogv", ".vob", ".dv", ".m2v", ".y4m"),
+    *(".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg", ".ivf"),
 )
 _DECIMAL = re.compile(r"(\D*)(\d+)\.(\d+)(\.\D\w*)?")
 _FORMS = ("NFC", "NFD")
