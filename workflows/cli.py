@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import sys
 import traceback
 from collections.abc import Callable
@@ -174,8 +175,13 @@ def main(arguments: list[str] | None = None) -> Any:
         if hasattr(error, "format_message") and hasattr(error, "exit_code"):  # a usage error of the command line's parser
             context = getattr(error, "ctx", None)
             help_hint = f" (see {context.command_path} --help)" if context is not None else ""
-            if error.format_message():  # empty when no argument was given: the help is already printed
-                say(f"error: {error.format_message()}{help_hint}", to=errors)
+            told = error.format_message()
+            if "unexpected extra argument" in told and sum(map(os.path.exists, arguments)) > 1:
+                told += (
+                    ". A capture is one file or folder: put videos of one event into a folder and pass it, or use e4dgs batch for scenes"
+                )
+            if told:  # empty when no argument was given: the help is already printed
+                say(f"error: {told}{help_hint}", to=errors)
             return 2
         if "--debug" in arguments:
             traceback.print_exc()

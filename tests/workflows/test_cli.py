@@ -326,3 +326,11 @@ def test_bash_completes_commands_and_options(tmp_path, line, offered, not_offere
     done = subprocess.run(command, env={**os.environ, "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}, capture_output=True, text=True)
     found = set(done.stdout.split())
     assert offered <= found and not not_offered & found, done.stdout + done.stderr
+
+
+def test_two_captures_in_one_command_are_told_what_to_do(cli, capture, tmp_path):
+    for name in ("a.mp4", "b.mp4"):
+        (tmp_path / name).write_bytes(b"1")
+    result = cli("plan", tmp_path / "a.mp4", tmp_path / "b.mp4")
+    assert result.code == 2 and "put videos of one event into a folder and pass it, or use e4dgs batch" in " ".join(result.err.split())
+    assert "e4dgs batch" not in cli("plan", capture, "nothing-like-a-file").err
