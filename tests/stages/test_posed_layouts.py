@@ -196,6 +196,33 @@ def test_pictures_with_a_pose_file_each(path, tmp_path):
     refused(tmp_path, "no intrinsics", "K.txt")
 
 
+def test_nsvf_has_its_own_intrinsics_and_splits_in_names(path, tmp_path):
+    written = write_rgbd(path, tmp_path / "flat")
+    (tmp_path / "rgb").mkdir()
+    (tmp_path / "pose").mkdir()
+    for i, file in enumerate(written.files):
+        name = f"{0 if i < 6 else 1 if i < 9 else 2}_{i:04d}"
+        (tmp_path / "flat" / file).rename(tmp_path / f"rgb/{name}.png")
+        (tmp_path / "flat" / file.replace("color.png", "pose.txt")).rename(tmp_path / f"pose/{name}.txt")
+    shutil.rmtree(tmp_path / "flat")
+    for text in (
+        "33 20 16 0.\n0. 0. 0.\n0.\n1.\n32 40\n",
+        "33 20 16 0.\n0. 0. 0.\n0.\n1.\n",
+        "33 20 16 0\n",
+        "66 40 32 0\n0 0 0\n0\n1\n64 80\n",
+    ):
+        (tmp_path / "intrinsics.txt").write_text(text)
+        capture = recognise(tmp_path)
+        assert capture.facts["splits"] == {"train": 6, "val": 3, "test": 3} and capture.split.tolist() == [0] * 6 + [1] * 3 + [2] * 3
+        assert capture.K[0].tolist() == [[33, 0, 20], [0, 33, 16], [0, 0, 1]], text
+    (tmp_path / "intrinsics.txt").write_text("33 20 16\n" + "1 " * 8)
+    refused(tmp_path, "intrinsics.txt: 11 numbers, but its first line is not f cx cy 0")
+    (tmp_path / "intrinsics.txt").write_text("33 20 16 0")
+    for folder, suffix in (("rgb", "png"), ("pose", "txt")):
+        (tmp_path / folder / f"0_0000.{suffix}").rename(tmp_path / folder / f"7_0000.{suffix}")
+    assert recognise(tmp_path).facts["splits"]["val"] == 0, "a name of another form: no splits"
+
+
 def test_scannet_has_folders(path, tmp_path):
     written = write_rgbd(path, tmp_path / "flat")
     root = tmp_path / "scan"

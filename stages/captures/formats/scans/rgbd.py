@@ -1,5 +1,5 @@
 """Colour pictures with a pose file each, as of scans with a depth camera: `frame-000000.color.png` and `frame-000000.pose.txt` (7-Scenes,
-BundleFusion, 3DMatch), or `color/0.jpg` and `pose/0.txt` (ScanNet).
+BundleFusion, 3DMatch), `color/0.jpg` and `pose/0.txt` (ScanNet), or `rgb/0_07.png` and `pose/0_07.txt` (NSVF; 0 train, 1 val, 2 test).
 
 A pose is a 4x4 matrix, camera to world, OpenCV axes; a tracker that was lost writes Inf or NaN. 7-Scenes has no intrinsics: its page
 (microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes) gives 585 px and the principal point (320, 240) for its pictures of 640x480.
@@ -19,7 +19,7 @@ from ...posed.finding import left_out
 from ...posed.matrix_files import INTRINSICS, intrinsics_of, pose_of
 from ...posed.sizes import scale_of
 from ...posed.stated import states_layout
-from ...reading import Options, Reading, Shot
+from ...reading import TRAIN, Options, Reading, Shot
 
 _COLOURS, _POSES = ("color", "colour", "rgb", "images"), ("pose", "poses")
 _KINECT = np.array([[585.0, 0, 320], [0, 585, 240], [0, 0, 1]])
@@ -59,9 +59,14 @@ def read(root: Path, options: Options) -> Reading:
         )
     numbers = [int(m[-1]) if (m := re.findall(r"\d+", s)) and len(m[-1]) < 10 else -1 for s in stems]
     counted = min(numbers) >= 0 and len(set(numbers)) == len(numbers)
+    splits = {stem: int(stem[0]) for stem in stems if re.match("[012]_", stem)}
+    split = len(splits) == len(stems) and len({*splits.values(), 0}) == len({*splits.values()}) > 1
+    if split:
+        notes.append("names that begin with 0_, 1_ and 2_ are read as views for training, validation and test, as in NSVF")
     shots = []
     for rank, (stem, file, size) in enumerate(zip(stems, files, sizes, strict=True)):
         shot = Shot(name=file, camera=0, time=float(numbers[rank] if counted else rank), size=size, file=file)
+        shot.split = splits[stem] if split else TRAIN
         shot.cam_from_world = checks.inverse(np.asarray(poses[stem]))
         shot.K = np.diag([*scale_of(root, file, size, made_for or sizes[0], f"{source or '7-Scenes'}: for"), 1.0]) @ K
         shots.append(shot)
@@ -76,6 +81,7 @@ def read(root: Path, options: Options) -> Reading:
         why=f"{len(shots)} pictures with a pose file each in {place}, one moving camera",
         shots=shots,
         alpha=alpha,
+        has_split=split,
         sources=(*((source,) if source else ()), *(str(both[stem][1]) for stem in both)),
         notes=tuple(notes),
         depth_notes=told_depth(root, depth),
