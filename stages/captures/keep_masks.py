@@ -4,14 +4,22 @@ training and metrics. Masks are named as in COLMAP, or lie beside their pictures
 from __future__ import annotations
 
 import posixpath
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from ...pipeline import CaptureError
+from ...pipeline.choice.evenly import evenly
+from ...vision.images.pictures import read_mask
 from . import checks
 from .listing.names import is_image
 from .reading import Shot
 
 FOLDER = "masks"
+_JUDGED = 8  # masks, from first to last, whose share of black is told
+_MOST_BLACK = 0.6  # of the area, from which on masks may mean the opposite
 
 
 def add_masks(root: Path, shots: Sequence[Shot], beside: str = "images/") -> tuple[str, ...]:
@@ -35,7 +43,7 @@ def add_masks(root: Path, shots: Sequence[Shot], beside: str = "images/") -> tup
     if not there and not own:
         return ()
     none = f"{FOLDER}/ has no mask of any image; expected {FOLDER}/NAME.png for {beside}NAME"
-    note = told(shots, f"in {FOLDER}/{' or beside them' if own else ''}" if there else "beside them")
+    note = told(root, shots, f"in {FOLDER}/{' or beside them' if own else ''}" if there else "beside them")
     return (note or none,)
 
 
@@ -77,6 +85,21 @@ def turn_masks(root: Path, shots: Sequence[Shot]) -> None:
             shot.keep_turn = turn
 
 
-def told(shots: Sequence[Shot], where: str) -> str | None:
-    count = sum(shot.keep is not None for shot in shots)
-    return f"{count} of {len(shots)} images have a mask {where}; its black pixels are left out of training and metrics" if count else None
+def told(root: Path, shots: Sequence[Shot], where: str) -> str | None:
+    masked = [shot for shot in shots if shot.keep is not None]
+    if not masked:
+        return None
+    line = f"{len(masked)} of {len(shots)} images have a mask {where}; its black pixels are left out of training and metrics"
+    judged = evenly(masked, _JUDGED)
+    try:
+        black = float(np.mean([(read_mask(root, str(shot.keep)) <= 127).mean() for shot in judged]))
+    except CaptureError:  # the stage `frames` refuses it
+        return line
+    of = "" if len(judged) == len(masked) else f" (judged by {len(judged)} masks)"
+    line += f": {black:.0%} of the area{of}"
+    if black <= _MOST_BLACK:
+        return line
+    folder, name = posixpath.split(str(masked[0].keep))
+    beside = "mask" if folder == posixpath.dirname(str(masked[0].file)) else ""  # not the pictures
+    files = shlex.quote(str(root / folder)) + f"/*{beside}{posixpath.splitext(name)[1]}"
+    return f"{line}. If white marks what moves or is to be removed, invert the masks: magick mogrify -negate {files}"

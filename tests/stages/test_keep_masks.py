@@ -56,6 +56,20 @@ def test_nerfstudio_masks_say_what_counts_and_not_what_moves(masked, tmp_path):
     assert not kept[15:35, 3:25].any() and kept[45:].all() and kept[:, 40:].all(), "bent by a few pixels with the picture"
 
 
+@pytest.mark.parametrize("flat", [True, False])
+def test_the_share_that_masks_leave_out_is_told(images_capture, tmp_path, flat):
+    """Where it is most of the area, white may mark what moves: the command inverts the masks, and no picture."""
+    root = shutil.copytree(images_capture.root, tmp_path / "my scene")
+    pictures = sorted(root.glob("*.png"))
+    for black, share in ((BLACK, "12%"), ((slice(None), slice(0, 72)), "75%")):
+        for picture in pictures:
+            write_mask(root / (f"{picture.stem}_mask.png" if flat else f"masks/{picture.name}"), size=(96, 80), black=black)
+        (note,) = [note for note in recognise(root).notes if "have a mask" in note]
+        assert f"left out of training and metrics: {share} of the area (judged by 8 masks)" in note
+        own = f"'{root}'/*mask.png" if flat else f"'{root / 'masks'}'/*.png"
+        assert note.endswith(f"invert the masks: magick mogrify -negate {own}") == (share == "75%"), note
+
+
 @pytest.mark.parametrize("name", ["003.png.png", "003.png", "003.jpg"])
 def test_masks_beside_images(colmap_capture, tmp_path, name):
     root = shutil.copytree(colmap_capture.root, tmp_path / "capture")

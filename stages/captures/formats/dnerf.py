@@ -60,7 +60,7 @@ def read(root: Path, options: Options) -> Reading:
         notes.append(
             f"no frame of {' and '.join(file for _, file in files)} has a time, so all show one moment; add time if something moves"
         )
-    if masked := keep_masks.told(shots, "(mask_path)"):
+    if masked := keep_masks.told(root, shots, "(mask_path)"):
         notes.append(masked)
     raw_fps = loaded[0][2].get("fps")
     reading = Reading(

@@ -63,7 +63,7 @@ def read(root: Path, options: Options) -> Reading:
             "frames share times, no camera stands still and folders do not tell them apart, so each frame counts as a camera of its own "
             "and no optical flow is measured",
         )
-    of_frames = keep_masks.told(shots, "(mask_path)")
+    of_frames = keep_masks.told(root, shots, "(mask_path)")
     masked = (of_frames,) if of_frames else keep_masks.add_masks(root, shots)
     said += lost_depth([frames[i] for i in order], shots)
     reading = Reading(
