@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 import torch
 
 from ...scene.seeds.colours import median_colours
+from ...scene.seeds.moving.at_rest import StaticScene
 from ...scene.seeds.moving.hull import VisualHull
 from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.moving.surfaces import surface_points
@@ -103,11 +105,13 @@ def camera_seeds(
     most: int,
     advance: Callable[[int], None] = lambda n: None,
     given: StoredDepth | None = None,
+    rest: StaticScene | None = None,
 ) -> MovingSeeds | None:
     """Seeds on the masks of moving cameras at key times; None if masks are empty or nothing determines a depth. They are up to ``at_once``
     for each of these times, or as many as that makes for `KEYS` times if there are fewer, but all together not more than ``most``.
 
-    static [P, 3]: points that are mostly static. given: depth of the capture. advance: called with the number of frames that are done.
+    static [P, 3]: points that are mostly static. given: depth of the capture. rest: what shows it gets no seeds. advance: called with the
+    number of frames that are done.
     """
     found, held = [], dict[int, np.ndarray]()
     cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
@@ -122,14 +126,18 @@ def camera_seeds(
             continue
         usual = float(np.median(known))
         if given is not None:
-            held |= {i: held_map(objects, depths[k], views.K[i], k, usual, given, i) for k, i in enumerate(frames) if i in given.z}
+            for k, i in enumerate(frames):
+                if i in given.z:
+                    held[i] = held_map(objects, depths[k], views.K[i], k, usual, given, i)
+                    if rest is not None:
+                        held[i] *= without(np.ones(held[i].shape[1:], bool), rest.shown(i))
         speed = own_speed(chain, objects, depths, views, frames, usual)
         rows = key_times(views.time[frames], apart_by_speed(APART_ALONE, WAY_ALONE, speed))
         area = sum(int(chain.mask(k).sum()) for k in rows)
         count = min(at_once * max(KEYS, len(rows)), most)
         stride = max(1, int(np.ceil(np.sqrt(area * len(cameras) / max(count, 1)))))
         for k in rows:
-            begin = pixels(chain.mask(k), stride)
+            begin = pixels(chain.mask(k) if rest is None else without(chain.mask(k), rest.shown(frames[k])), stride)
             if not len(begin):
                 continue
             places, alive = chain.follow(k, begin, AROUND)
@@ -153,6 +161,12 @@ def pixels(mask: np.ndarray, stride: int) -> np.ndarray:
     """Those of ``mask`` [H, W] bool on a grid of ``stride`` px: x and y, [n, 2] float32."""
     y, x = np.nonzero(mask[stride // 2 :: stride, stride // 2 :: stride])
     return (np.stack([x, y], 1) * stride + stride // 2).astype(np.float32)
+
+
+def without(mask: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """``mask`` [H, W] bool without the pixels ``others`` [h, w] bool, of another size."""
+    size = mask.shape[1], mask.shape[0]
+    return np.asarray(mask & (cv2.resize(others.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0))
 
 
 def own_speed(chain: Chain, objects: Objects, depths: list[np.ndarray], views: Views, frames: list[int], usual: float) -> float:

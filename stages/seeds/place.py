@@ -9,6 +9,7 @@ import numpy as np
 from ...pipeline import Context
 from ...pipeline.choice.evenly import evenly
 from ...scene.seeds.carve import carve
+from ...scene.seeds.moving.at_rest import StaticScene
 from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.outliers import trusted
 from ...scene.seeds.volume import common_volume
@@ -40,13 +41,15 @@ LOOKS = 60  # masks of a moving camera that are used
 
 class Seeds(NamedTuple):
     """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: points that were measured, not guessed. inverse_depth: of the
-    static scene in front of each camera, see `Swept`. given: depth that came with the capture."""
+    static scene in front of each camera, see `Swept`. given: depth that came with the capture. swept: of ``inverse_depth``, what the
+    plane sweep found."""
 
     points: np.ndarray
     colors: np.ndarray
     trusted: np.ndarray
     inverse_depth: dict[int, np.ndarray]
     given: StoredDepth | None = None
+    swept: dict[int, np.ndarray] | None = None
 
 
 def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: bool = False) -> Seeds:
@@ -88,10 +91,9 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
         more = centre + np.random.default_rng(settings.seed).uniform(-radius, radius, (count, 3))
         ctx.log(f"seeds: {len(more)} more spread over the volume that the cameras share")
         points, colors = np.concatenate([points, more]), np.concatenate([colors, np.full((count, 3), 0.5)])
-    inverse = swept.inverse if swept else {}
-    if given is not None:
-        inverse = static_inverse(given, inverse)
-    return Seeds(points, colors, measured if len(measured) else points, inverse, given)
+    found = swept.inverse if swept else {}
+    inverse = found if given is None else static_inverse(given, found)
+    return Seeds(points, colors, measured if len(measured) else points, inverse, given, found)
 
 
 def triangulated(ctx: Context, frames: FrameSet) -> tuple[np.ndarray, np.ndarray]:
@@ -112,11 +114,9 @@ def given_depth(ctx: Context) -> StoredDepth | None:
     return given
 
 
-def moving_seeds(
-    ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int, given: StoredDepth | None = None
-) -> MovingSeeds | None:
-    """Up to ``most`` seeds on moving objects, at several times; None without masks of moving pixels. points [P, 3]: mostly static. given:
-    depth that came with the capture, for one camera. In front of one camera, they are more if there are more than `KEYS` times, since each
+def moving_seeds(ctx: Context, frames: FrameSet, views: Views, seeds: Seeds, most: int) -> MovingSeeds | None:
+    """Up to ``most`` seeds on moving objects, at several times; None without masks of moving pixels. seeds: mostly of what is static. In
+    front of one camera, they are more if there are more than `KEYS` times, since each
     is present for a short time, unless the number of Gaussians is limited by a setting."""
     flow = flow_of(ctx.inputs)
     if flow is None or not flow.has_moving:
@@ -129,7 +129,8 @@ def moving_seeds(
     else:
         with ctx.progress(len(views.train), "seeds on moving objects") as bar:
             longest = most if ctx.settings.budget else LONGEST * most
-            found = camera_seeds(flow, views, points, most // KEYS, longest, bar.advance, given)
+            rest = StaticScene(views, seeds.swept) if seeds.swept else None
+            found = camera_seeds(flow, views, seeds.points, most // KEYS, longest, bar.advance, seeds.given, rest)
     if found is not None:
         ctx.log(f"seeds: {len(found.points)} on moving objects, at {len(np.unique(found.time))} times")
     return found

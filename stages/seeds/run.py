@@ -27,8 +27,9 @@ def place_seeds(ctx: Context) -> None:
     motion = motion_class(choose(settings.motion, facts))
     budget = settings.budget or auto_budget(facts, views, motion.kind)
     count = settings.count or auto_seeds(facts, budget)
-    points, colors, trusted, depth, given = load_seeds(ctx, frames, views, count, fill=one_way(facts))
-    moving = moving_seeds(ctx, frames, views, points, budget // 2, given) if motion.moving_seeds else None
+    found = load_seeds(ctx, frames, views, count, fill=one_way(facts))
+    points, colors, trusted = found.points, found.colors, found.trusted
+    moving = moving_seeds(ctx, frames, views, found, budget // 2) if motion.moving_seeds else None
     views.near = near_plane(views, trusted if moving is None else np.concatenate([trusted, moving.points]))
     if frames.background is None:
         views.background = mean_colour(views)
@@ -43,7 +44,7 @@ def place_seeds(ctx: Context) -> None:
         colors=colors,
         dynamic=np.zeros(len(points), bool) if facts.static else initial_dynamic(ctx, points, views, moving is not None),
         moving=moving,
-        depth=depth,
+        depth=found.inverse_depth,
         near=float(views.near),
         background=views.background,
         path_width=path_width(views, trusted) if one_way(facts) else None,

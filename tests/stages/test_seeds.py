@@ -93,6 +93,9 @@ def test_what_fixed_cameras_see_counts_before_masks_of_moving_pixels(tmp_path):
     assert initial_dynamic(ctx, points(), views(True), False).tolist() == [x >= 6 for x in range(WIDTH)]
 
 
+SEEDS = room.Seeds(points(), points(), points(), {})
+
+
 def test_without_masks_every_seed_may_move(tmp_path):
     for found in (None, flow(tmp_path / "flow")):
         ctx = context(found)
@@ -108,7 +111,7 @@ def test_one_camera_seeds_what_moves_where_masks_show_it(fixed, moving, expected
     monkeypatch.setattr(room, "camera_seeds", lambda *given: found)
     ctx = context(flow(tmp_path / "flow", fixed, moving))
     ctx.facts = {"frames": LOOKS, "times": LOOKS}
-    assert moving_seeds(ctx, None, views(fixed), points(), 100) is (found if expected else None)
+    assert moving_seeds(ctx, None, views(fixed), SEEDS, 100) is (found if expected else None)
     assert ctx.lines == (["seeds: 3 on moving objects, at 2 times"] if expected else [])
 
 
@@ -118,12 +121,12 @@ def test_a_long_clip_has_more_seeds_unless_their_number_is_limited(budget, most,
     monkeypatch.setattr(room, "camera_seeds", lambda *given: asked.append(given[3:5]))
     ctx = context(flow(tmp_path / "flow", moving=True))
     ctx.facts, ctx.settings.budget = {"frames": LOOKS, "times": LOOKS}, budget
-    moving_seeds(ctx, None, views(False), points(), 480)
+    moving_seeds(ctx, None, views(False), SEEDS, 480)
     assert asked == [(480 // KEYS, most)]
 
 
 def test_without_flow_nothing_is_seeded():
-    assert moving_seeds(context(None), None, views(False), points(), 100) is None
+    assert moving_seeds(context(None), None, views(False), SEEDS, 100) is None
 
 
 def test_seeds_of_each_time_live_around_it_and_overlap_the_next():
