@@ -135,7 +135,7 @@ def surface(
     labels = objects.labels[k]
     z = depths[labels]
     if given is not None and i in given.z:
-        return given_surface(given, i, np.where(z > 0, z, usual))
+        return given_surface(given, i, labels, np.where(z > 0, z, usual))
     inside = cv2.distanceTransform((labels > 0).astype(np.uint8), cv2.DIST_L2, 5)
     return np.where(z > 0, z, usual) * np.maximum(1 - inside * objects.step[0] / K[0, 0], THICKEST)
 

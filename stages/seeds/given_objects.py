@@ -16,6 +16,9 @@ SURE = 0.5  # least confidence of these
 AROUND = 4  # frames on either side over which an object's depth is averaged, with its size, if single pixels are not to be believed
 WITHIN = 0.4  # logarithm of the factor between a pixel's depth and that of its object; farther ones show something else
 NEARER = 40.0  # percentile of a part's depths that stands for it, if single pixels are not to be believed: they blend into what is behind
+SMOOTH = 0.05  # of the picture's width: windows over which the shape of an object is averaged, if single pixels are not to be believed
+THICK = 0.15  # logarithm of the factor between an object's depth and that of its parts; what is farther shows something else
+LEAST = 0.05  # share of a window that must show the object
 WIDTH = 320  # px, longest side of maps of the static scene
 
 
@@ -52,14 +55,25 @@ def given_numbers(objects: Objects, frames: list[int], given: StoredDepth, depth
     return result
 
 
-def given_surface(given: StoredDepth, i: int, number: np.ndarray) -> np.ndarray:
-    """[h, w] depth of what moves in frame ``i``, whose objects have the depth ``number`` [h, w]: the given one where single pixels are to
-    be believed and do not show something else, else the object's."""
-    if not given.precise:
-        return number
+def given_surface(given: StoredDepth, i: int, labels: np.ndarray, number: np.ndarray) -> np.ndarray:
+    """[h, w] depth of what moves in frame ``i``, whose part ``labels`` [h, w] have the depths ``number`` [h, w]: the given one where single
+    pixels are to be believed and do not show something else, else the part's depth with the shape that windows of `SMOOTH` show."""
     z = _sized(given.z[i], number.shape)
-    near = (z > 0) & (np.abs(np.log(np.maximum(z, 1e-9) / np.maximum(number, 1e-9))) < WITHIN)
-    return np.where(near, z, number)
+    off = np.where(z > 0, np.log(np.maximum(z, 1e-9) / np.maximum(number, 1e-9)), np.inf).astype(np.float32)
+    if given.precise:
+        return np.where(np.abs(off) < WITHIN, z, number)
+    inside, side = inner(labels), 2 * round(0.5 * SMOOTH * labels.shape[1]) + 1
+    shape = np.zeros(number.shape, np.float32)
+    for part in range(1, int(labels.max()) + 1):
+        there = (labels == part) & np.isfinite(off)
+        middle = there & (inside == part)
+        if middle.sum() < FEWEST:
+            continue
+        own = off - np.float32(np.percentile(off[middle], NEARER))
+        sound = there & (np.abs(own) < THICK)
+        share, mean = (cv2.blur(np.where(sound, of, 0).astype(np.float32), (side, side)) for of in (1.0, own))
+        shape = np.where(there & (share > LEAST), mean / np.maximum(share, 1e-6), shape)
+    return np.asarray(number * np.exp(shape))
 
 
 def static_inverse(given: StoredDepth, measured: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -37,6 +38,20 @@ def test_seeds_lie_at_the_given_depth(error, tmp_path):
     assert np.median(seeds.velocities[:, 0]) == pytest.approx(-0.2, rel=0.1), "and so they are as fast as the square"
     inverse, _ = seeds.held[4]
     assert np.allclose(inverse[inverse > 0], 1 / NEAR, rtol=0.01)
+
+
+def test_pixels_that_show_what_is_at_rest_get_no_seeds_and_are_not_held(tmp_path):
+    flow = flow_of(tmp_path / "flow")
+    z = {k: square_depth(k, flow) for k in range(FRAMES)}
+    given = StoredDepth(SCALE, PRECISE * 2, z, {k: np.ones_like(one) for k, one in z.items()})
+    upper = np.zeros((HEIGHT // 2, WIDTH // 2), bool)
+    upper[: HEIGHT // 4] = True
+    rest = SimpleNamespace(shown=lambda i: upper)
+    all_of_it, others = (camera_seeds(flow, views(), wall(), 125, 3000, given=given, rest=one) for one in (None, rest))
+    whole, half = all_of_it.held[4], others.held[4]
+    middle = whole.shape[1] // 2
+    assert whole[:, :middle].any() and not half[:, :middle].any() and np.array_equal(whole[:, middle:], half[:, middle:])
+    assert (all_of_it.points[:, 1] < -0.05).any() and len(others.points) and (others.points[:, 1] > -0.05).all()
 
 
 def test_things_that_touch_in_the_picture_keep_the_depths_that_are_given(tmp_path):
@@ -88,9 +103,28 @@ def test_pixels_of_something_else_have_their_objects_depth():
     z = np.full((4, 4), 5.0, np.float32)
     z[0, 0], z[1, 1] = 9.0, 0.0
     given = StoredDepth(SCALE, 0.0, {0: z}, {0: np.ones_like(z)})
-    surface = given_surface(given, 0, np.full((4, 4), 4.8))
+    labels = np.ones((4, 4), np.uint8)
+    surface = given_surface(given, 0, labels, np.full((4, 4), 4.8))
     assert surface[0, 0] == surface[1, 1] == 4.8 and surface[2, 2] == 5.0
-    assert (given_surface(replace(given, error=0.1), 0, np.full((4, 4), 4.8)) == 4.8).all()
+    assert (given_surface(replace(given, error=0.1), 0, labels, np.full((4, 4), 4.8)) == 4.8).all(), "all of it is rim"
+
+
+def test_noisy_depth_gives_the_shape_of_a_part_in_windows():
+    """A part that is deeper on its right, seen with noise from pixel to pixel: nearer to the truth than one number, and than the noise."""
+    height, width = 120, 240
+    labels = np.zeros((height, width), np.uint8)
+    labels[20:100, 60:180] = 1
+    true = np.full((height, width), 8.0)
+    true[labels > 0] = np.broadcast_to(np.linspace(2.8, 3.3, width), (height, width))[labels > 0]
+    noise = np.random.default_rng(0).normal(0, 0.05, (height, width))
+    z = (true * np.exp(noise)).astype(np.float32)
+    z[40:60, 60:70] = 8.0  # a hole, through which the wall shows
+    given = StoredDepth(SCALE, PRECISE * 2, {0: z}, {0: np.ones_like(z)})
+    number = np.where(labels > 0, float(np.percentile(true[labels > 0], 40)), 5.0)
+    surface = given_surface(given, 0, labels, number)
+    wrong, flat = (np.abs(np.log(one / true))[labels > 0] for one in (surface, number))
+    assert np.median(wrong) < 0.01 < 0.5 * np.median(flat) and wrong.max() < 0.06
+    assert (surface[labels == 0] == 5.0).all()
 
 
 def test_what_is_at_rest_is_filled_up_where_pixels_are_to_be_believed():
