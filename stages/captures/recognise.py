@@ -26,7 +26,7 @@ from .listing.several import apart, several
 from .listing.unread import above, described, models_in, only_closed, refuse_closed, unread, with_pictures
 from .posed.doubts import doubts
 from .reading import Options, Reading
-from .rigs import rig_without_poses
+from .rigs import ONE_CAMERA, pictures_in, rig_without_poses
 
 Format = Literal[
     "dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "llff", "record3d", "polycam", "rgbd", "tum", "images", "video", "videos"
@@ -187,6 +187,8 @@ def _advice(root: Path) -> str:
     if folders:
         named = f"It has the folders {', '.join(folders[:6])}"
         if with_pictures(root):
+            if sum(bool(pictures_in(root, name)) for name in folders) > 1 or sum(bool(pictures_in(root, name)) for name in inside) > 1:
+                return f"{named}: pass one, or, {ONE_CAMERA}{there}"
             return f"{named}: pass the one that holds images or videos, or add transforms.json{there}"
         return f"{named}, with no picture or video in any: copy them there, or pass another folder{there}"
     known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"

@@ -17,6 +17,8 @@ from .listing.numbers import follow_numbers, places, set_times, two_numbers, wor
 from .posed.time_folders import folders_are_times, frame_of, named_as_cameras, named_as_times
 from .reading import Shot
 
+ONE_CAMERA = "if one camera took all pictures, copy them into one folder, under names that differ (and add --static if nothing moves)"
+
 
 @dataclass(frozen=True)
 class Rig:
@@ -195,5 +197,5 @@ def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
         f"The folders {shown} have {count} pictures of the same names each, {what}, but no file that is read gives "
         f"their poses{also}. Add poses_bounds.npy with a row for each camera and name the folders cam00/, cam01/, ...; or put them into "
         "images/ beside a COLMAP model in sparse/0/; or encode each folder as a video and "
-        "give the folder of videos, whose poses are then estimated"
+        f"give the folder of videos, whose poses are then estimated. Or, {ONE_CAMERA}"
     )

@@ -533,3 +533,14 @@ def test_the_commonest_unknown_suffix_of_a_folder_is_told(tmp_path):
     for name in ("a.xyzzy", "b.xyzzy", "c.odd"):
         (tmp_path / name).write_bytes(b"1")
     refused(tmp_path, "nothing recognised here", "No kind of file that is known ends in .xyzzy (here 2)")
+
+
+@pytest.mark.parametrize(
+    "names", [("drone/d_{}", "ground/g_{}"), ("100CANON/{}", "101CANON/{}"), ("images/drone/d_{}", "images/ground/g_{}")]
+)
+def test_photos_in_several_folders_are_told_to_be_put_into_one(tmp_path, names):
+    for k, name in enumerate(names * 3):
+        file = tmp_path / f"{name.format(k // 2)}.png"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (16, 12)).save(file)
+    refused(tmp_path, "if one camera took all pictures, copy them into one folder, under names that differ")
