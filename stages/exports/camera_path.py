@@ -41,7 +41,7 @@ def named_path(name: str, frames: FrameSet, model: Model, count: int, seconds: f
     train = frames.train
     if name == "capture":
         return _along_capture(frames, model, count, USUAL_SECONDS if seconds is None else seconds)
-    poses = frames.cam_from_world[train]
+    poses = frames.held(train)
     way = (turntable if name == "turntable" else spiral)(poses, looked_at(frames, model), count)
     return CameraPath(way, np.repeat(frames.K[train[:1]], count, axis=0), np.linspace(0, 1, count))
 
@@ -86,7 +86,7 @@ def _along_capture(frames: FrameSet, model: Model, count: int, seconds: float) -
             at = np.interp(np.linspace(time[0], time[-1], count), time, np.arange(len(own)))
         else:  # several pictures of one time, as of a scene that stands still
             at = np.linspace(0, len(own) - 1, count)
-        way = travelled(frames.cam_from_world[own], at, _centre(frames, model, own), upward(frames.cam_from_world[own]))
+        way = travelled(frames.cam_from_world[own], at, _centre(frames, model, own), upward(frames.held(own)))
         return CameraPath(way, _between(frames.K[own], at), np.interp(at, np.arange(len(own)), time))
     train = frames.train[np.argsort(frames.time[frames.train], kind="stable")]
     _, first = np.unique(frames.cam_from_world[train].reshape(len(train), 16), axis=0, return_index=True)
@@ -99,7 +99,7 @@ def _along_capture(frames: FrameSet, model: Model, count: int, seconds: float) -
     at = np.linspace(0, len(stops) - 1, count)
     leg, share = np.divmod(at, 1.0)
     at = leg + share * share * (3 - 2 * share)  # it slows down at every camera
-    return CameraPath(travelled(poses[stops], at, centre, upward(poses)), _between(frames.K[cameras[stops]], at), time)
+    return CameraPath(travelled(poses[stops], at, centre, upward(frames.held(cameras))), _between(frames.K[cameras[stops]], at), time)
 
 
 def _centre(frames: FrameSet, model: Model, own: np.ndarray) -> np.ndarray:

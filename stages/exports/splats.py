@@ -103,7 +103,7 @@ def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:
     "capture" for none) or else ``usual`` pointing up. Axes that the capture's files give stand upright, so the nearest one is up. Those of
     our own structure from motion are one camera's, however it was held, so there the direction itself is brought upright."""
     assert frames.cam_from_world is not None
-    direction = upward(frames.cam_from_world[frames.train])
+    direction = upward(frames.held(frames.train))
     axis = nearest_axis(direction)
     if up == "capture":
         return Turn(axis, axis)

@@ -56,7 +56,7 @@ def export_usd(
         raise SettingsError("export usd needs the package usd-core, 26.3 or later; install it with: pip install 'e4dgs[usd]'") from error
     assert frames.cam_from_world is not None
     try:
-        turn = stage_turn(upward(frames.cam_from_world[frames.train]), up, frames.solved)
+        turn = stage_turn(upward(frames.held(frames.train)), up, frames.solved)
     except ValueError as error:
         raise SettingsError(f"--up {up}: {error}; give one of these, or capture") from error
     baked = bake(model, frames, antialiased)

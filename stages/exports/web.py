@@ -119,7 +119,7 @@ def about_capture(model: Model, frames: FrameSet) -> dict[str, Any]:
         }
         for i in chosen
     ]
-    up, target = upward(frames.cam_from_world[frames.train]), looked_at(frames, model)
+    up, target = upward(frames.held(frames.train)), looked_at(frames, model)
     return {"seconds": float(np.ptp(frames.seconds)), "up": up.tolist(), "target": np.asarray(target).tolist(), "cameras": cameras}
 
 

@@ -21,9 +21,11 @@ def ring(cameras: int = 6, radius: float = 3.0) -> SimpleNamespace:
     index = np.arange(cameras)
     K = np.tile([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]], (cameras, 1, 1))
     time = np.linspace(0, 1, cameras)
-    return SimpleNamespace(
+    frames = SimpleNamespace(
         cam_from_world=poses, K=K, train=index, camera=index, time=time, seconds=3 * time, width=16, height=16, origin=None
     )
+    frames.held = lambda i: frames.cam_from_world[i]
+    return frames
 
 
 def nothing() -> Model:

@@ -64,6 +64,8 @@ def test_cameras_follow_their_pictures(tmp_path, write, options):
         views = [capture.views[capture.files.index(name)] for name in frames.names]
     assert_true_to_their_cameras(frames, capture, views, 20 if write is write_n3v else 22)
     assert sum("pictures are not 80x64 px" in line for line in ran.lines) == 1
+    held = np.stack([view.camera.cam_from_world for view in views])
+    np.testing.assert_allclose(frames.held(np.arange(len(frames))), held, atol=1e-6)
 
 
 def test_d_nerf_keeps_its_alpha(tmp_path):

@@ -62,6 +62,9 @@ class Frames:
         self.time = self.seconds = np.zeros(count)
         self.train, self.val, self.test = np.arange(count), np.arange(0), np.arange(0)
 
+    def held(self, indices: np.ndarray) -> np.ndarray:
+        return self.cam_from_world[indices]
+
     @classmethod
     def around(cls, axes: np.ndarray) -> "Frames":
         eyes = [np.array([3 * np.cos(a), 1.5, 3 * np.sin(a)]) for a in np.arange(6)]

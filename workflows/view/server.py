@@ -64,7 +64,7 @@ class Viewer:
         self.rows.sort()
         self.rendering = threading.Lock()  # kernels use all cores; two pictures at once would only take turns
         assert frames.cam_from_world is not None
-        self.up = upward(frames.cam_from_world[frames.train])
+        self.up = upward(frames.held(frames.train))
         hush()
         with unsaid():  # the command prints the address
             self.server = viser.ViserServer(host=host, port=port, label="e4dgs", verbose=False)
