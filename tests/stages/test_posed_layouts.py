@@ -216,7 +216,11 @@ def test_nsvf_has_its_own_intrinsics_and_splits_in_names(path, tmp_path):
         assert capture.facts["splits"] == {"train": 6, "val": 3, "test": 3} and capture.split.tolist() == [0] * 6 + [1] * 3 + [2] * 3
         assert capture.K[0].tolist() == [[33, 0, 20], [0, 33, 16], [0, 0, 1]], text
     (tmp_path / "intrinsics.txt").write_text("33 20 16\n" + "1 " * 8)
-    refused(tmp_path, "intrinsics.txt: 11 numbers, but its first line is not f cx cy 0")
+    refused(tmp_path, "intrinsics.txt: expected 4 or 9 or 12 or 16 numbers, found 11")
+    (tmp_path / "intrinsics.txt").write_text("33 20 16 0\n0 0 0\n0\n1\ninf nan\n")
+    assert recognise(tmp_path).K[0][0, 0] == 33
+    (tmp_path / "intrinsics.txt").write_text("33 20 16 0\n0 0 0\n0\n1\n40 inf\n")
+    assert recognise(tmp_path).K[0][0, 0] == 33
     (tmp_path / "intrinsics.txt").write_text("33 20 16 0")
     for folder, suffix in (("rgb", "png"), ("pose", "txt")):
         (tmp_path / folder / f"0_0000.{suffix}").rename(tmp_path / folder / f"7_0000.{suffix}")

@@ -59,7 +59,7 @@ def timeline(given: Path, reading: Reading, options: Options) -> Timeline:
 
 
 def told_rate(kind: str, reading: Reading, options: Options, when: Timeline) -> list[str]:
-    """A line where neither a file nor a setting says how fast pictures follow. In D-NeRF's sets times are shares of the whole."""
+    """A line where nothing says how fast pictures follow. In D-NeRF's sets times are shares of the whole."""
     if when.static or kind == "dnerf" or options.fps or reading.fps or all(shot.seconds is not None for shot in reading.shots):
         return []
     return [

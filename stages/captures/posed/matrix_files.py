@@ -69,12 +69,11 @@ def intrinsics_of(root: Path) -> tuple[str, np.ndarray, tuple[int, int] | None] 
             sides = [fields.get(f"m_color{side}", "") for side in ("Width", "Height")]
             if all(side.isdecimal() and 0 < len(side) < 6 and int(side) for side in sides):
                 size = int(sides[0]), int(sides[1])
-        values = numbers_of(text, name, (4, 9, 11, 12, 16))
-        if len(values) < 12 and len(text.split("\n")[0].split()) == 4 and values[3] == 0:  # NSVF: f cx cy 0, then its grid, height, width
+        nsvf = re.match(r"(\S+[ \t]+){3}0[.0]*\s", f"{text}\n")  # f cx cy 0, then its grid, height, width
+        values = numbers_of(text, name, (4, 9, 11, 12, 16) if nsvf else (4, 9, 12, 16))
+        if nsvf and len(values) < 12:
             fx, fy, cx, cy, skew = values[0], *values[:3], 0.0
-            size = (int(values[10]), int(values[9])) if len(values) == 11 and values[9:].min() >= 1 else size
-        elif len(values) == 11:
-            raise CaptureError(f"{name}: 11 numbers, but its first line is not f cx cy 0, as NSVF has it; correct the file")
+            size = (int(values[10]), int(values[9])) if len(values) == 11 and 1 <= values[9:].min() <= values[9:].max() < 1e6 else None
         elif len(values) == 4:
             fx, fy, cx, cy, skew = *values, 0.0
         else:
