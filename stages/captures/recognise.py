@@ -20,7 +20,7 @@ from .keep_masks import FOLDER
 from .listing import beside
 from .listing.archive_kind import archive_kind
 from .listing.depth_maps import add_depth
-from .listing.kinds import kind_of
+from .listing.kinds import kind_of, role_of
 from .listing.names import is_video
 from .listing.several import apart, several
 from .listing.unread import above, described, models_in, only_closed, refuse_closed, unread, with_pictures
@@ -187,9 +187,9 @@ def _advice(root: Path) -> str:
     if folders:
         named = f"It has the folders {', '.join(folders[:6])}"
         if with_pictures(root):
-            if sum(bool(pictures_in(root, name)) for name in folders) > 1 or sum(bool(pictures_in(root, name)) for name in inside) > 1:
-                return f"{named}: pass one, or, {ONE_CAMERA}{there}"
-            return f"{named}: pass the one that holds images or videos, or add transforms.json{there}"
+            several = any(sum(role_of(n) is None and bool(pictures_in(root, n)) for n in names) > 1 for names in (folders, inside))
+            one = f"; {ONE_CAMERA}" if several else ""
+            return f"{named}: pass the one that holds images or videos, or add transforms.json{one}{there}"
         return f"{named}, with no picture or video in any: copy them there, or pass another folder{there}"
     known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
     odd = Counter(Path(name).suffix for name in names if kind_of(name) is None and Path(name).suffix).most_common(1)
