@@ -237,11 +237,11 @@ def test_a_camera_more_leaves_the_flow_of_the_others_as_it_was(tmp_path, measure
         shutil.copy(path / name, few / name)
     np.save(few / "poses_bounds.npy", np.load(path / "poses_bounds.npy")[:3])
     first = run(job(tmp_path, few))
-    assert first.artifact.info["pairs"] == {"measured": 6, "taken_over": 0}
+    assert first.artifact.info["pairs"] == {"measured": 9, "taken_over": 0}
     measured.clear()
     outcome = run(job(tmp_path, path))
-    assert outcome.artifact.info["pairs"] == {"measured": 3, "taken_over": 6} and len(measured) == 2 * 3
-    assert outcome.reason.endswith("3 of 9 pairs are new") and "ever_moving" in outcome.artifact
+    assert outcome.artifact.info["pairs"] == {"measured": 3, "taken_over": 9} and len(measured) == 2 * 3
+    assert outcome.reason.endswith("3 of 12 pairs are new") and "ever_moving" in outcome.artifact
     assert outcome.artifact.digest == fresh(tmp_path, path)
 
 
