@@ -215,6 +215,11 @@ def test_nsvf_has_its_own_intrinsics_and_splits_in_names(path, tmp_path):
         capture = recognise(tmp_path)
         assert capture.facts["splits"] == {"train": 6, "val": 3, "test": 3} and capture.split.tolist() == [0] * 6 + [1] * 3 + [2] * 3
         assert capture.K[0].tolist() == [[33, 0, 20], [0, 33, 16], [0, 0, 1]], text
+        assert capture.facts["static"], "numbers begin again in each split, so they are no times"
+    (tmp_path / "intrinsics.txt").write_text("33 0 20 0 33 16 0 0 1\n")
+    capture = recognise(tmp_path)
+    assert capture.K[0].tolist() == [[33, 0, 20], [0, 33, 16], [0, 0, 1]], "a matrix on one line"
+    assert capture.facts["splits"]["val"] == 0, "of a rig of depth cameras, names may begin with their numbers"
     (tmp_path / "intrinsics.txt").write_text("33 20 16\n" + "1 " * 8)
     refused(tmp_path, "intrinsics.txt: expected 4 or 9 or 12 or 16 numbers, found 11")
     (tmp_path / "intrinsics.txt").write_text("33 20 16 0\n0 0 0\n0\n1\ninf nan\n")

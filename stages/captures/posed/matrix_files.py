@@ -23,6 +23,7 @@ INTRINSICS = (
     "info.txt",
     "_info.txt",
 )
+_NSVF = re.compile(r"(\S+[ \t]+){3}0[.0]*[ \t]*\r?\n")  # f cx cy 0 on a line of its own, then its grid, height, width
 
 
 def text_of(root: Path, name: str) -> str:
@@ -57,6 +58,12 @@ def pose_of(root: Path, name: str) -> np.ndarray | None:
     return checks.rigid(matrix, name) if np.isfinite(matrix).all() else None
 
 
+def is_nsvf(root: Path) -> bool:
+    """Whether the capture has intrinsics as NSVF writes them, or its bounding box."""
+    file = root / "intrinsics.txt"
+    return (root / "bbox.txt").is_file() or (file.is_file() and _NSVF.match(f"{text_of(root, file.name)}\n") is not None)
+
+
 def intrinsics_of(root: Path) -> tuple[str, np.ndarray, tuple[int, int] | None] | None:
     """(file, K [3,3], size that it is for if the file says so) of the first of `INTRINSICS` that exists; None without one."""
     for name in INTRINSICS:
@@ -69,7 +76,7 @@ def intrinsics_of(root: Path) -> tuple[str, np.ndarray, tuple[int, int] | None] 
             sides = [fields.get(f"m_color{side}", "") for side in ("Width", "Height")]
             if all(side.isdecimal() and 0 < len(side) < 6 and int(side) for side in sides):
                 size = int(sides[0]), int(sides[1])
-        nsvf = re.match(r"(\S+[ \t]+){3}0[.0]*\s", f"{text}\n")  # f cx cy 0, then its grid, height, width
+        nsvf = _NSVF.match(f"{text}\n")
         values = numbers_of(text, name, (4, 9, 11, 12, 16) if nsvf else (4, 9, 12, 16))
         if nsvf and len(values) < 12:
             fx, fy, cx, cy, skew = values[0], *values[:3], 0.0

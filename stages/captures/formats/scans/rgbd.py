@@ -16,7 +16,7 @@ from .....pipeline import CaptureError
 from ... import checks
 from ...posed.depth import told_depth
 from ...posed.finding import left_out
-from ...posed.matrix_files import INTRINSICS, intrinsics_of, pose_of
+from ...posed.matrix_files import INTRINSICS, intrinsics_of, is_nsvf, pose_of
 from ...posed.sizes import scale_of
 from ...posed.stated import states_layout
 from ...reading import TRAIN, Options, Reading, Shot
@@ -59,13 +59,13 @@ def read(root: Path, options: Options) -> Reading:
         )
     numbers = [int(m[-1]) if (m := re.findall(r"\d+", s)) and len(m[-1]) < 10 else -1 for s in stems]
     counted = min(numbers) >= 0 and len(set(numbers)) == len(numbers)
-    splits = {stem: int(stem[0]) for stem in stems if re.match("[012]_", stem)}
+    splits = {stem: int(stem[0]) for stem in stems if re.match("[012]_", stem)} if is_nsvf(root) else {}
     split = len(splits) == len(stems) and len({*splits.values(), 0}) == len({*splits.values()}) > 1
     if split:
-        notes.append("names that begin with 0_, 1_ and 2_ are read as views for training, validation and test, as in NSVF")
+        notes.append("names that begin with 0_, 1_ and 2_ are read as views for training, validation and test, as in NSVF, of one moment")
     shots = []
     for rank, (stem, file, size) in enumerate(zip(stems, files, sizes, strict=True)):
-        shot = Shot(name=file, camera=0, time=float(numbers[rank] if counted else rank), size=size, file=file)
+        shot = Shot(name=file, camera=0, time=0.0 if split else float(numbers[rank] if counted else rank), size=size, file=file)
         shot.split = splits[stem] if split else TRAIN
         shot.cam_from_world = checks.inverse(np.asarray(poses[stem]))
         shot.K = np.diag([*scale_of(root, file, size, made_for or sizes[0], f"{source or '7-Scenes'}: for"), 1.0]) @ K
