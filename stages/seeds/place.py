@@ -129,7 +129,7 @@ def moving_seeds(ctx: Context, frames: FrameSet, views: Views, seeds: Seeds, mos
     else:
         with ctx.progress(len(views.train), "seeds on moving objects") as bar:
             longest = most if ctx.settings.budget else LONGEST * most
-            rest = StaticScene(views, seeds.swept) if seeds.swept else None
+            rest = StaticScene(views, seeds.swept) if seeds.swept and not frames.fixed_cameras else None  # plates show no frame as it was
             found = camera_seeds(flow, views, seeds.points, most // KEYS, longest, bar.advance, seeds.given, rest)
     if found is not None:
         ctx.log(f"seeds: {len(found.points)} on moving objects, at {len(np.unique(found.time))} times")

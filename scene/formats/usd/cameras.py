@@ -28,10 +28,9 @@ class PosedCamera:
     near: float
 
     def codes(self, last_code: float) -> np.ndarray:
-        """[n]: time code of each pose, where time t is t * ``last_code``; 0, 1, 2 and so on for several poses of one time, as of somebody
-        who walks around a scene that stands still."""
-        codes = self.time * last_code
-        return codes if (np.diff(codes) > 0).all() else np.arange(len(codes), dtype=np.float64)
+        """[n]: time code of each pose, where time t is t * ``last_code``; 0, 1, 2 and so on if all show one time, as of somebody who walks
+        around a scene that stands still."""
+        return self.time * last_code if np.ptp(self.time) > 0 < last_code else np.arange(len(self.time), dtype=np.float64)
 
 
 def define_cameras(stage: Any, parent: str, cameras: Sequence[PosedCamera], last_code: float) -> None:
