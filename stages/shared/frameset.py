@@ -17,7 +17,6 @@ from ..poses.artifact import StoredPoses
 
 FEWEST_POINTS = 50  # of the capture or of structure from motion; fewer are not used
 WHOLLY = 254  # of 255: value from which a pixel of a scaled or undistorted mask lies wholly inside
-_CLOCKWISE = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])  # a camera's axes with its picture turned, from without
 _MAPS_KEPT = 4  # cached maps take 8 bytes per pixel; one camera needs two, one for each direction
 
 
@@ -90,7 +89,7 @@ class FrameSet:
     def held(self, indices: np.ndarray) -> np.ndarray:
         """cam_from_world [n,4,4] of the frames ``indices`` as their cameras were held: turned back where pictures were turned (`turns`)."""
         assert self.cam_from_world is not None
-        back = {1: np.eye(4), 6: _CLOCKWISE.T, 8: _CLOCKWISE}
+        back = {1: np.eye(4), 6: pictures.CLOCKWISE.T, 8: pictures.CLOCKWISE}
         return np.stack([back[self.turns[i]] @ self.cam_from_world[i] for i in indices])
 
     def image(self, i: int) -> np.ndarray:

@@ -30,6 +30,8 @@ _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     7: lambda a: np.rot90(a, 2).T,
     8: np.rot90,
 }
+# What 6, a quarter turn clockwise, does to a camera: its axes [4,4], x right and y down, from those before.
+CLOCKWISE = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
 
 def read_picture(root: Path, name: str, upright: bool = False, say: Say = lambda what: None) -> np.ndarray:

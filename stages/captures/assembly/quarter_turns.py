@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ....vision.images.pictures import CLOCKWISE
 from .. import checks
 from ..reading import Shot
 from .common_size import Size, crop
 
 _GAIN = 1.1  # times as much of a picture must be kept
 _RIGHT, _LEFT = 6, 8  # EXIF orientations: clockwise, and back
-_TURN = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])  # of a camera's axes, if its picture is turned clockwise
 
 
 def turned_alike(root: Path, shots: Sequence[Shot], common: Size, upright: bool) -> tuple[list[Shot], tuple[int, ...] | None]:
@@ -56,4 +56,4 @@ def _turned(shot: Shot) -> Shot:
         K = np.array([[K[1, 1], 0, height - K[1, 2]], [0, K[0, 0], K[0, 2]], [0, 0, 1]])
     if terms is not None and not shot.fisheye:  # p1 and p2 belong to axes
         terms = np.array([*terms[:2], terms[3], -terms[2], *terms[4:]])
-    return replace(shot, size=(height, width), K=K, distortion=terms, cam_from_world=None if pose is None else _TURN @ pose)
+    return replace(shot, size=(height, width), K=K, distortion=terms, cam_from_world=None if pose is None else CLOCKWISE @ pose)
