@@ -125,6 +125,18 @@ def test_a_long_clip_has_more_seeds_unless_their_number_is_limited(budget, most,
     assert asked == [(480 // KEYS, most)]
 
 
+@pytest.mark.parametrize(("fixed", "swept", "looks"), [(False, True, True), (True, True, False), (False, False, False)])
+def test_only_before_moving_cameras_frames_show_what_is_at_rest(fixed, swept, looks, tmp_path, monkeypatch):
+    """The maps of a fixed camera are of a median, behind whatever moves."""
+    asked = []
+    monkeypatch.setattr(room, "camera_seeds", lambda *given: asked.append(given[-1]))
+    ctx = context(flow(tmp_path / "flow", moving=True))
+    ctx.facts = {"frames": LOOKS, "times": LOOKS}
+    known = SEEDS._replace(swept={0: np.ones((4, 6), np.float32)} if swept else None)
+    moving_seeds(ctx, SimpleNamespace(fixed_cameras=fixed), views(False), known, 100)
+    assert [one is not None for one in asked] == [looks]
+
+
 def test_without_flow_nothing_is_seeded():
     assert moving_seeds(context(None), None, views(False), SEEDS, 100) is None
 

@@ -93,6 +93,12 @@ def test_usd_cameras_project_as_the_lenses_do():
     assert stage.GetEndTimeCode() == 2.0, "the stage shows the times that were asked for"
 
 
+def test_two_poses_of_one_time_leave_the_others_at_theirs():
+    time = np.array([0.0, 0.5, 0.5, 1.0])
+    camera = PosedCamera("cam00", time, np.tile(np.eye(4), (4, 1, 1)), np.tile(np.eye(3), (4, 1, 1)), WIDTH, HEIGHT, 0.1)
+    assert camera.codes(20.0).tolist() == [0.0, 10.0, 10.0, 20.0]
+
+
 def test_a_walk_around_what_stands_still_is_a_path_of_its_own():
     pytest.importorskip("pxr")
     from pxr import Usd, UsdGeom
