@@ -47,6 +47,7 @@ def named_as_times(folders: Sequence[str], names: Sequence[str]) -> bool:
 
 
 def named_as_cameras(folders: Sequence[str]) -> bool:
+    """Whether all ``folders`` have names of cameras, such as `cam01` or `left`."""
     return all(_CAMERA.fullmatch(posixpath.basename(folder).lower()) for folder in folders)
 
 
@@ -71,6 +72,7 @@ def _fixed(shots: Sequence[Shot], keys: Sequence[str]) -> bool:
 
 
 def frame_of(name: str) -> str:
-    """Without the name of the folder: `cam1/cam1_0007.png` is of the time of `cam2/cam2_0007.png`."""
+    """What the name of a picture says of its time: its stem, without the name of its folder, since `cam1/cam1_0007.png` shows the time of
+    `cam2/cam2_0007.png`."""
     folder, file = posixpath.split(name)
     return posixpath.splitext(file)[0].removeprefix(f"{posixpath.basename(folder)}_")
