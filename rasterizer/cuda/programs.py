@@ -18,7 +18,7 @@ def program(name: str, **features: int) -> Program:
 
 
 def _mode(antialiased: bool) -> dict[str, int]:
-    """The feature of the second mode; the programs of the default mode do not have it."""
+    """The feature of the second mode; the programs of the classic mode do not have it."""
     return {"antialiased": 1} if antialiased else {}
 
 

@@ -46,7 +46,7 @@ class Baked:
 class Loss:
     """psnr: dB, renders of the export against renders of the full model, over ``cameras`` cameras at each of ``times`` moments. convexes:
     how many became Gaussians. antialiased: the export is rendered as programs with compensated opacity do, otherwise as those in the
-    default mode do. worst: dB of the worst of several moments, at time ``when`` in [0, 1]."""
+    classic mode do. worst: dB of the worst of several moments, at time ``when`` in [0, 1]."""
 
     psnr: float
     cameras: int
@@ -77,11 +77,11 @@ def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:
     closest to those of the full ``model``.
 
     antialiased: for programs that compensate opacity (`compensated`); the model's own Gaussians stay as they were trained. Otherwise for
-    those in the default mode, and the Gaussians of an antialiased model are adjusted (`PlainLook`). Raises SettingsError if ``antialiased``
-    is asked of a model that was trained in the default mode."""
+    those in the classic mode, and the Gaussians of an antialiased model are adjusted (`PlainLook`). Raises SettingsError if ``antialiased``
+    is asked of a model that was trained in the classic mode."""
     if antialiased and not model.antialiased:
         raise SettingsError(
-            "--antialiased: this model was trained in the default mode (coarse.antialiased=false), so its Gaussians are not for such "
+            "--antialiased: this model was trained in the classic mode (coarse.antialiased=false), so its Gaussians are not for such "
             "viewers; leave out --antialiased"
         )
     reference = model.convexes.points.detach()

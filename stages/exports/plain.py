@@ -1,4 +1,4 @@
-"""How programs draw the Gaussians of an antialiased model, and how these are adjusted for programs that draw in the default mode."""
+"""How programs draw the Gaussians of an antialiased model, and how these are adjusted for programs that draw in the classic mode."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEAST_SCALE = 0.5  # of its own, to which a standard deviation may shrink: what 
 
 @dataclass
 class PlainLook:
-    """share [N]: factors on opacities. excess [N]: variance that the default mode adds to a Gaussian beyond what the antialiased mode adds,
+    """share [N]: factors on opacities. excess [N]: variance that the classic mode adds to a Gaussian beyond what the antialiased mode adds,
     at the distance of the training views, world units squared. Both are right at the size and distance of the training views."""
 
     share: Tensor
@@ -65,7 +65,7 @@ class PlainLook:
 
 
 def compensated(camera: Camera, gaussians: Gaussians) -> Gaussians:
-    """``gaussians`` with opacities with which the default mode draws them before ``camera`` as antialiased viewers do: these add 0.3 px^2
+    """``gaussians`` with opacities with which the classic mode draws them before ``camera`` as antialiased viewers do: these add 0.3 px^2
     to the projected covariance S, too, and lower opacity by sqrt(det S / det(S + 0.3 I)) (gsplat's rasterize_mode "antialiased", Spark)."""
     share = footprint(camera, gaussians, dilation=0.0) / footprint(camera, gaussians).clamp(min=1e-12)
     return replace(gaussians, opacities=gaussians.opacities * share)

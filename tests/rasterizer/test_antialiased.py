@@ -55,7 +55,7 @@ def filtered(image: Tensor, size: int) -> Tensor:
 
 
 def truth(scene: Scene, size: int = 8) -> Tensor:
-    """What a pixel's box sees of the default mode."""
+    """What a pixel's box sees of the classic mode."""
     fine = replace(scene, camera=zoomed(scene.camera, size), antialiased=False)
     return filtered(fine.render("cpu").color, size)
 
@@ -82,7 +82,7 @@ def test_primitives_much_larger_than_a_pixel_stay_as_they_are() -> None:
 def test_the_total_of_a_small_gaussian_is_that_of_its_area(backend: str, size: tuple[float, float]) -> None:
     """The sum over the pixels, averaged over where the centre lies in its pixel, is o 2 pi s1 s2, less the tail below 1/255. From place to
     place it changes by as much as sampling a Gaussian once a pixel must: by a factor of 1 +- 2 exp(-2 pi^2 variance) along each axis. The
-    default mode draws it 0.3 px^2 larger."""
+    classic mode draws it 0.3 px^2 larger."""
     scene = one_gaussian([size[0] * PIXEL, size[1] * PIXEL, 0.01])
     want = 0.9 * 2 * math.pi * size[0] * size[1]
     peak = 0.9 * math.sqrt(size[0] ** 2 * size[1] ** 2 / ((size[0] ** 2 + 0.1) * (size[1] ** 2 + 0.1)))
@@ -203,7 +203,7 @@ def test_a_smaller_picture_is_the_filtered_large_one(kind: dict[str, int], facto
 @needs_cpu
 @pytest.mark.parametrize(("kind", "least"), [({"gaussians": 150}, 55.0), ({"convexes": 80}, 42.0)])
 def test_a_pixel_is_the_mean_over_its_box(kind: dict[str, int], least: float) -> None:
-    """Against the same scene at eight times the size, averaged: 20 dB closer than the default mode for Gaussians, 5 for convexes."""
+    """Against the same scene at eight times the size, averaged: 20 dB closer than the classic mode for Gaussians, 5 for convexes."""
     for seed in range(3):
         scene = random_scene(seed, degree=None, width=96, height=72, size=0.1, **kind)
         if scene.convexes is not None:

@@ -77,7 +77,7 @@ def some_tiles(seed: int) -> torch.Tensor:
 CASES = {
     "moving": {},
     "still": {"moves": False},
-    "default mode": {"antialiased": False},
+    "classic mode": {"antialiased": False},
     "large": {"size": -1.0},
     "small": {"size": -6.0},
     "far from the origin": {"far_from_origin": 3000.0},

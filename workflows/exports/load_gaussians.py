@@ -19,7 +19,7 @@ def load_gaussians(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, 
 
     Args:
         path, workspace: as for `e4dgs.load`.
-        classic: for renderers in the default mode, as exports are without --antialiased: opacities and sizes are adjusted to those, at the
+        classic: for renderers in the classic mode, as exports are without --antialiased: opacities and sizes are adjusted to those, at the
             size and distance of the training views. Otherwise the Gaussians stay as they were trained.
 
     Raises ArtifactError if there is no finished model.

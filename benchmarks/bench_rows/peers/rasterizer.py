@@ -53,7 +53,7 @@ def rasterize_torch(
     antialiased: bool = False,
     tiles: Tensor | None = None,
 ) -> Frame:
-    """Render in float32. Arguments and result as in `rasterize`; only Gaussians can be drawn, in the default mode and in all tiles.
+    """Render in float32. Arguments and result as in `rasterize`; only Gaussians can be drawn, in the classic mode and in all tiles.
     Visibility is that of the image's box."""
     if tiles is not None:
         raise ValueError("the torch rasterizer draws all tiles")
