@@ -3,9 +3,9 @@
 import json
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +100,20 @@ def write_atomically(path: Path, data: bytes | str) -> None:
             error.filename = str(path)  # the error of a failed write does not name the file
         raise
     sync_file(path.parent)
+
+
+@contextmanager
+def written_beside(path: Path) -> Iterator[Path]:
+    """For writers that want a file: a free name beside ``path`` with its suffix. In the end it takes the place of ``path`` in
+    one step; after an error nothing stays. The folder is made if it does not exist."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    part.unlink(missing_ok=True)
+    try:
+        yield part
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def write_json(path: Path, value: Any) -> None:

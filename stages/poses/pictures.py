@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from ...pipeline import Context
+from ...pipeline.files import written_beside
 from ...vision.images.files import open_image
 from ...vision.images.focal_length import DETAILS, EQUIVALENT, film_focal_length
 from ...vision.images.pictures import composite
@@ -75,10 +76,8 @@ def write_masks(ctx: Context, frames: FrameSet) -> Path:
 
 
 def _save(frames: FrameSet, i: int, target: Path, exif: Image.Exif | None = None) -> None:
-    partial = target.with_name(f"partial{target.suffix}")
-    partial.unlink(missing_ok=True)
-    Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1, exif=exif)
-    partial.replace(target)
+    with written_beside(target) as part:
+        Image.fromarray(composite(frames.original(i), frames.background)).save(part, compress_level=1, exif=exif)
 
 
 def _focal_length(file: Path, part: np.ndarray | None) -> Image.Exif:
@@ -103,10 +102,8 @@ def _read_by_colmap(file: Path) -> bool:
 
 
 def _link(source: Path, target: Path) -> None:
-    partial = target.with_name(f"partial{target.suffix}")
-    partial.unlink(missing_ok=True)
-    try:
-        os.symlink(source.resolve(), partial)
-    except OSError:  # a file system without links
-        shutil.copyfile(source, partial)
-    partial.replace(target)
+    with written_beside(target) as part:
+        try:
+            os.symlink(source.resolve(), part)
+        except OSError:  # a file system without links
+            shutil.copyfile(source, part)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...pipeline.files import written_beside
 from ...vision.sfm.coverage import frames_named
 from ...vision.sfm.masks import on_moving
 from ...vision.sfm.pose_agreement import Matches, agreement, doubtful
@@ -119,7 +120,6 @@ def _masks(frames: FrameSet, arrays: Mapping[str, np.ndarray], file: Path, bars:
     bars("moving", 0, len(frames))
     K, poses, distortion, size = (arrays[name] for name in ("K", "cam_from_world", "distortion", "size"))
     masks = lens_moving_masks(frames, K, poses, distortion, size, advance, doubtful(arrays))
-    partial = file.with_name("partial.npz")
-    np.savez_compressed(partial, allow_pickle=False, masks=masks, size=arrays["size"])
-    partial.replace(file)
+    with written_beside(file) as part:
+        np.savez_compressed(part, allow_pickle=False, masks=masks, size=arrays["size"])
     return masks

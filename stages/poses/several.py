@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ...pipeline.files import written_beside
 from ...vision.moving.motion_mask import motion_mask, sample
 from ...vision.sequences import camera_sequences
 from ...vision.sfm.fixed_cameras import is_fixed
@@ -93,10 +94,8 @@ def _write_masks(frames: FrameSet, sequences: Mapping[int, Sequence[int]], looks
             return np.asarray(cv2.resize(frames.original(i), (width, height), interpolation=cv2.INTER_AREA))
 
         masks[looks.image_of_frame[mine[0]]] = motion_mask(load, sorted({*sample(mine), *seen}), GROW) > 0
-    partial = file.with_name("partial.npz")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(partial, allow_pickle=False, masks=masks)
-    partial.replace(file)
+    with written_beside(file) as part:
+        np.savez_compressed(part, allow_pickle=False, masks=masks)
 
 
 def _video(frames: FrameSet, i: int) -> str:

@@ -8,7 +8,7 @@ import av
 import numpy as np
 import pytest
 from av.video.reformatter import ColorRange, Colorspace
-from e4dgs.vision.images.movie import Movie, encode_movie, even
+from e4dgs.vision.images.movie import encode_movie, even, movie_file
 
 
 def test_the_same_pictures_give_the_same_bytes():
@@ -51,7 +51,7 @@ def test_pictures_of_any_size_can_be_encoded(size, encoded):
 
 def test_a_relative_name_may_have_a_colon(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with Movie(Path("take10:30.mp4"), 15.0) as movie:
+    with movie_file(Path("take10:30.mp4"), 15.0) as movie:
         movie.add(np.zeros((8, 8, 3), np.uint8))
     assert [file.name for file in tmp_path.iterdir()] == ["take10:30.mp4"] and (tmp_path / "take10:30.mp4").stat().st_size
 

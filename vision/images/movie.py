@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import io
-import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO
 
 import numpy as np
+
+from ...pipeline.files import written_beside
 
 BROADCAST = 5e-3  # frames a second by which 23.98 or 29.97 may miss the rate that it stands for
 LEAST_BROADCAST = 24  # frames a second; slower movies are never meant to be 1.001 times slower
@@ -93,26 +94,13 @@ def encode_movie(pictures: Iterable[np.ndarray], fps: float, quality: int = QUAL
     return file.getvalue()
 
 
-class Movie:
-    """``with Movie(path, fps) as movie: movie.add(picture)``: a file as from `Encoder`, which appears only when complete."""
-
-    def __init__(self, path: Path, fps: float) -> None:
-        self.path, self.fps = path, fps
-
-    def __enter__(self) -> Movie:
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._part = self.path.with_name(f".{self.path.stem}-{os.getpid()}.mp4")
-        self._encoder = Encoder(str(self._part.absolute()), self.fps)  # what comes before a : in a relative name would be a protocol
-        return self
-
-    def add(self, picture: np.ndarray) -> None:
-        """The next picture, uint8 [H, W, 3]."""
-        self._encoder.add(picture)
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+@contextmanager
+def movie_file(path: Path, fps: float) -> Iterator[Encoder]:
+    """``with movie_file(path, fps) as movie: movie.add(picture)``: the file appears only when complete."""
+    with written_beside(path) as part:
+        movie, whole = Encoder(str(part.absolute()), fps), False  # what comes before a : in a relative name would be a protocol
         try:
-            self._encoder.close(kind is None)
-            if kind is None:
-                os.replace(self._part, self.path)
+            yield movie
+            whole = True
         finally:
-            self._part.unlink(missing_ok=True)
+            movie.close(whole)

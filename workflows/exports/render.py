@@ -53,7 +53,7 @@ def render(
     import torch
 
     from ...rasterizer import Camera
-    from ...vision.images.movie import Movie, even
+    from ...vision.images.movie import even, movie_file
     from ...vision.images.picture_folder import PictureFolder
 
     check_posed(options, trained.frames)
@@ -66,7 +66,7 @@ def render(
     width, height = (even(wanted[0]), even(wanted[1])) if video else wanted
     black = torch.zeros(3) if alpha else None
     with writing(out, "render"), Progress(film.count, "render", console) as bar, ExitStack() as stack:
-        movie = stack.enter_context(Movie(out, film.fps)) if video else None
+        movie = stack.enter_context(movie_file(out, film.fps)) if video else None
         folder = None if video else stack.enter_context(PictureFolder(out, depth, alpha))
         for K, pose, t in zip(views.K, views.cam_from_world, views.time):
             camera = Camera(torch.tensor(scale @ K).float(), torch.tensor(pose).float(), width, height, model.near)

@@ -27,6 +27,8 @@ def main(request_file: str) -> None:
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     import numpy as np
 
+    from ....pipeline.files import write_atomically
+
     request = json.loads(Path(request_file).read_text(encoding="utf-8"))
     if request["task"] == "reconstruct":
         from .reconstruct import reconstruct as task
@@ -43,9 +45,7 @@ def main(request_file: str) -> None:
     arrays, facts = task(request, _report)
     folder = Path(request["folder"])
     np.savez(folder / "result.npz", allow_pickle=False, **arrays)
-    partial = folder / "result.partial"  # the facts are written last and atomically, so if they are there, the arrays are too
-    partial.write_text(json.dumps(facts), encoding="utf-8")
-    partial.replace(folder / "result.json")
+    write_atomically(folder / "result.json", json.dumps(facts))  # written last, so if the facts are there, the arrays are too
 
 
 if __name__ == "__main__":

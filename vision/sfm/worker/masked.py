@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from ....pipeline.files import written_beside
 from ..masks import on_moving, static_matches
 from .features import database as db
 from .reconstruct import DATABASE, map_database
@@ -31,10 +32,8 @@ def reconstruct_masked(request: dict[str, Any], report: db.Report) -> tuple[dict
     if not path.exists():
         with np.load(request["masks"], allow_pickle=False) as file:
             masks, size = file["masks"], file["size"]
-        partial = path.with_name("partial.db")
-        partial.unlink(missing_ok=True)
-        _copy(Path(request["first"]) / DATABASE, partial, names, pairs, masks, size)
-        partial.replace(path)
+        with written_beside(path) as part:
+            _copy(Path(request["first"]) / DATABASE, part, names, pairs, masks, size)
     sample = _sample(path, names, pairs)
     db.verify(path, names, pairs, seed, report)
     arrays, facts = map_database(path, request, report)

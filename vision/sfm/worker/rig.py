@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from ....pipeline.files import written_beside
 from ..pairs import MOST
 from .features import database as db
 from .features.matching import match
@@ -45,11 +46,9 @@ def reconstruct_rig(request: dict[str, Any], report: db.Report) -> tuple[dict[st
     def merged(lenses: Sequence[int], name: str) -> Path:
         path = folder / name
         if not path.exists():
-            partial = folder / "partial.db"
-            partial.unlink(missing_ok=True)
             cameras = [first_camera(root / firsts[lenses.index(k)], request) for k in sorted(set(lenses))]
-            merge(looks, partial, names, image, pairs, cameras, lenses)
-            partial.replace(path)
+            with written_beside(path) as part:
+                merge(looks, part, names, image, pairs, cameras, lenses)
         return path
 
     if request["all_fixed"]:

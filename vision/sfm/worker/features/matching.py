@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pycolmap
 
 from .....pipeline import thread_count
+from .....pipeline.files import written_beside
 from ...pairs import MATCHERS
 from ...runner import run_worker
 from .database import MATCH_CHUNK, Report, image_ids, list_pairs
@@ -58,13 +60,8 @@ def match_share(request: dict[str, Any], report: Report) -> tuple[dict[str, np.n
     source, folder, pairs = Path(request["source"]), Path(request["folder"]), [(int(a), int(b)) for a, b in request["pairs"]]
     path = folder / source.name
     if not path.exists():
-        partial = folder / "partial.db"
-        partial.unlink(missing_ok=True)
-        with sqlite3.connect(source) as old, sqlite3.connect(partial) as new:
+        with written_beside(path) as part, closing(sqlite3.connect(source)) as old, closing(sqlite3.connect(part)) as new:
             old.backup(new)
-        old.close()
-        new.close()
-        partial.replace(path)
     seed, verify = int(request["seed"]), bool(request["verify"])
     todo = _unmatched(path, request["names"], pairs, verify)
     done = len(pairs) - len(todo)
