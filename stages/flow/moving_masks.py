@@ -8,8 +8,8 @@ from concurrent.futures import Executor, Future
 import cv2
 import numpy as np
 
-from ...vision.flow.method import size_within
 from ...vision.flow.two_way import FlowPair
+from ...vision.images.pictures import size_within
 from ...vision.moving.fixed_camera import fixed_camera_masks
 from ...vision.moving.moving_masks import moving_masks
 from ..shared.frameset import FrameSet

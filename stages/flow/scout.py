@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from ...pipeline.choice.evenly import evenly
-from ...vision.flow.method import Dis, size_within
+from ...vision.flow.method import Dis
+from ...vision.images.pictures import size_within
 from ...vision.moving.motion_mask import FLOOR, smoothed
 from ..shared.frameset import FrameSet
 

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...pipeline import Applies, Context, Given, Resources, Stage, counted
-from ...vision.flow.method import choice, size_within
+from ...vision.flow.method import choice
+from ...vision.images.pictures import size_within
 from ..facts import Facts
 from ..shared.frameset import FrameSet
 from .choose_pairs import choose_pairs, most_pairs

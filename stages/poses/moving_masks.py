@@ -8,10 +8,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from ...vision.flow.method import Dis, size_within
+from ...vision.flow.method import Dis
 from ...vision.flow.two_way import FlowPair, consistency
 from ...vision.images.lenses import undistort_maps
-from ...vision.images.pictures import composite, resize, undistort
+from ...vision.images.pictures import composite, resize, size_within, undistort
 from ...vision.moving.moving_masks import moving_masks
 from ...vision.sequences import camera_sequences
 from ...vision.sfm.coverage import runs

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from ...pipeline.files import written_beside
+from ...vision.images.pictures import size_within
 from ...vision.moving.motion_mask import motion_mask, sample
 from ...vision.sequences import camera_sequences
 from ...vision.sfm.fixed_cameras import is_fixed
@@ -83,8 +84,7 @@ def several_cameras(
 
 
 def _write_masks(frames: FrameSet, sequences: Mapping[int, Sequence[int]], looks: Looks, file: Path) -> None:
-    scale = min(1.0, MASK_SIZE / max(frames.width, frames.height))
-    width, height = max(1, round(frames.width * scale)), max(1, round(frames.height * scale))
+    width, height = size_within(frames.width, frames.height, MASK_SIZE)
     masks = np.zeros((max(looks.image) + 1, height, width), bool)
     for camera in looks.fixed:
         mine = sequences[camera]

@@ -12,6 +12,7 @@ from ...pipeline import Context
 from ...scene.seeds.one_place import LOOKS, assumed_depth, background
 from ...scene.seeds.rays import spread
 from ...scene.views import Views
+from ...vision.images.pictures import size_within
 from ..depth.artifact import StoredDepth, read_depth
 from ..shared.frameset import FrameSet
 from ..shared.masks import unsteady_mask
@@ -52,8 +53,7 @@ def standing_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> 
         at, column, row = (one[opaque[row, column]] for one in (at, column, row))
     points = lift(views, i, at - 0.5, depth[row, column]).astype(np.float64)
     ctx.log(f"seeds: {len(points)} on the background, which is the median of its pictures")
-    shrink = min(1.0, MAP / max(views.width, views.height))
-    size = max(1, round(views.width * shrink)), max(1, round(views.height * shrink))
+    size = size_within(views.width, views.height, MAP)
     inverse = cv2.resize((1 / depth).astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
     return Standing(points, plate[row, column] / 255.0, dict.fromkeys(views.train.tolist(), inverse), given)
 

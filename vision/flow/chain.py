@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import cv2
 import numpy as np
 
-from .method import size_within
+from ..images.pictures import shrunk
 from .two_way import consistency
 
 TRUSTED = 64  # of 255; a track ends where the confidence is not above this
@@ -120,8 +120,7 @@ class Chain:
 
     def _small(self, values: np.ndarray) -> np.ndarray:
         """Flow, confidence or a mask [H, W, ...] scaled down to `SIZE`: float16, or uint8 for uint8."""
-        height, width = values.shape[:2]
-        reduced = cv2.resize(values.astype(np.float32), size_within(width, height, SIZE), interpolation=cv2.INTER_AREA)
+        reduced = shrunk(values.astype(np.float32), SIZE)
         return np.rint(reduced).astype(np.uint8) if values.dtype == np.uint8 else reduced.astype(np.float16)
 
     def _sample(self, values: np.ndarray, places: np.ndarray, outside: float | None = None) -> np.ndarray:

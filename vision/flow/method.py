@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from ...pipeline import StageError
+from ..images.pictures import shrunk
 
 if TYPE_CHECKING:
     from .raft import Raft
@@ -38,14 +39,10 @@ class FlowMethod:
 
     def prepare(self, picture: np.ndarray) -> Prepared:
         """``picture``: uint8 [H, W, 3] RGB. Raises ValueError for other shapes or dtypes."""
-        import cv2
-
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or picture.size == 0:
             raise ValueError(f"picture: expected uint8 [H, W, 3] with H, W > 0, got {picture.dtype} {list(picture.shape)}")
         height, width = picture.shape[:2]
-        working = size_within(width, height, self.max_size)
-        small = cv2.resize(picture, working, interpolation=cv2.INTER_AREA) if working != (width, height) else np.ascontiguousarray(picture)
-        return Prepared((height, width), self._prepare(small), picture)
+        return Prepared((height, width), self._prepare(shrunk(picture, self.max_size)), picture)
 
     def flow(self, first: Prepared, second: Prepared) -> np.ndarray:
         """Flow [H, W, 2] float32 px: pixel (x, y) of first is at (x+u, y+v) in second. Raises ValueError where their sizes differ."""
@@ -122,14 +119,6 @@ class RaftFlow(FlowMethod):
             yield lambda: torch.set_num_threads(1)  # OpenMP's thread count is per thread, MKL's is global
         finally:
             torch.set_num_threads(threads)
-
-
-def size_within(width: int, height: int, max_size: int | None) -> tuple[int, int]:
-    """Width and height, scaled down so that neither exceeds ``max_size`` px; unchanged if neither does."""
-    if max_size is None or max(width, height) <= max_size:
-        return width, height
-    scale = max_size / max(width, height)
-    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def choice(method: Name | None, weights: Path | None) -> tuple[str, str]:

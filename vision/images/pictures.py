@@ -107,6 +107,25 @@ def resize(picture: np.ndarray, width: int, height: int, crop: np.ndarray | None
     return _premultiplied(picture, lambda p: cv2.resize(p, (width, height), interpolation=way))
 
 
+def size_within(width: int, height: int, max_size: int | None) -> tuple[int, int]:
+    """Width and height, scaled down so that neither exceeds ``max_size`` px; unchanged if neither does."""
+    if max_size is None or max(width, height) <= max_size:
+        return width, height
+    scale = max_size / max(width, height)
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def shrunk(picture: np.ndarray, max_size: int | None) -> np.ndarray:
+    """``picture`` [H,W,...] scaled down by area averaging to a longest side of ``max_size`` px; itself if no side is longer. Contiguous."""
+    import cv2
+
+    height, width = picture.shape[:2]
+    size = size_within(width, height, max_size)
+    if size == (width, height):
+        return np.ascontiguousarray(picture)
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+
+
 def size_of(root: Path, name: str) -> tuple[int, int]:
     """Width and height in px of the picture `root/name` as stored. Raises CaptureError."""
     try:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from ...pipeline.choice.evenly import evenly
+from .pictures import shrunk
 
 PICTURES, LEAST_PICTURES = 24, 12  # how many pictures are looked at, and how many it takes to judge
 LONGEST = 960  # px, longest side of the pictures that are looked at
@@ -56,10 +57,7 @@ def find_watermark(pictures: Iterable[np.ndarray]) -> np.ndarray | None:
 
 def _gradient(picture: np.ndarray) -> np.ndarray:
     """Gradient of the picture's grey levels, int8 [h, w, 2], levels per px, after scaling it down to at most `LONGEST`."""
-    height, width = picture.shape[:2]
-    scale = min(1.0, LONGEST / max(height, width))
-    size = max(1, round(scale * width)), max(1, round(scale * height))
-    grey = cv2.cvtColor(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    grey = cv2.cvtColor(shrunk(picture, LONGEST), cv2.COLOR_RGB2GRAY).astype(np.float32)
     smooth = cv2.GaussianBlur(grey, (0, 0), BLUR)
     both = [cv2.Sobel(smooth, cv2.CV_32F, *axis) / 8 for axis in ((1, 0), (0, 1))]  # the kernel's weights sum to 8 on either side
     return np.stack([np.rint(one.clip(-127, 127)) for one in both], -1).astype(np.int8)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..flow.method import MINIMUM_SIDE
 from ..flow.two_way import consistency, dis_flow
+from ..images.pictures import shrunk
 from ..sequences import camera_sequences
 from .motion_mask import MotionMask, sample
 from .moving_masks import frame_evidence, moving_mask
@@ -87,7 +88,7 @@ def _fixed(picture: Picture, cameras: Sequence[Sequence[int]]) -> StaticScene:
     chosen = [cameras[k] for k in sample(range(len(cameras)), CAMERAS)]
 
     def changed(mine: Sequence[int]) -> tuple[float, float, int]:
-        frames = [_small(picture(i), DENSE_SIZE) for i in sample(mine, TIMES)]
+        frames = [shrunk(picture(i), DENSE_SIZE) for i in sample(mine, TIMES)]
         mask = MotionMask(frames)
         for frame in frames:
             mask.add(frame)
@@ -140,7 +141,7 @@ def _sparse(picture: Picture, order: Sequence[int], K: np.ndarray | None, poses:
 
     def of(position: int) -> Features:
         if position not in kept:
-            kept[position] = features(_small(picture(order[position]), SIZE))
+            kept[position] = features(shrunk(picture(order[position]), SIZE))
         return kept[position]
 
     def link(a: int, b: int) -> PairEvidence:
@@ -189,15 +190,15 @@ def _dense(picture: Picture, mine: Sequence[int], untimed: bool) -> tuple[float,
     middles = sorted(set(np.linspace(1, len(mine) - 2, ANCHORS).round().astype(int).tolist())) if len(mine) >= 3 else []
 
     def share(k: int) -> float | None:
-        image = _small(picture(mine[k]), DENSE_SIZE)
+        image = shrunk(picture(mine[k]), DENSE_SIZE)
         if min(image.shape[:2]) < MINIMUM_SIDE:
             return None
-        flow, sure = _flow(image, _small(picture(mine[k + 1]), DENSE_SIZE))
+        flow, sure = _flow(image, shrunk(picture(mine[k + 1]), DENSE_SIZE))
         travel = _travel(flow, sure)
         if travel > farthest:
             return None
         step = int(np.clip(round(TRAVEL / max(travel, 1e-5)), 1, STEPS[0]))
-        around = [_flow(image, _small(picture(mine[j]), DENSE_SIZE)) for j in (k - step, k + step) if 0 <= j < len(mine)]
+        around = [_flow(image, shrunk(picture(mine[j]), DENSE_SIZE)) for j in (k - step, k + step) if 0 <= j < len(mine)]
         followed = [Neighbour(*one) for one in around if _travel(*one) <= farthest]
         if untimed and len(followed) < 2:  # a single pair of photos shows flow errors as often as motion
             return None
@@ -221,13 +222,3 @@ def _travel(flow: np.ndarray, sure: np.ndarray) -> float:
 def _flow(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     forward, backward = dis_flow(first, second, "fast"), dis_flow(second, first, "fast")
     return forward, consistency(forward, backward)
-
-
-def _small(picture: np.ndarray, size: int) -> np.ndarray:
-    import cv2
-
-    height, width = picture.shape[:2]
-    factor = size / max(height, width)
-    if factor >= 1:
-        return np.ascontiguousarray(picture)
-    return cv2.resize(picture, (max(1, round(width * factor)), max(1, round(height * factor))), interpolation=cv2.INTER_AREA)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from ....rasterizer import Frame
+from ....vision.images.pictures import shrunk
 from ....vision.images.png import encode_png
 from ..artifact import StoredPictures
 from .edges import edges_picture
@@ -25,7 +26,7 @@ class PictureBook:
 
     def add(self, name: str, picture: np.ndarray, size: int) -> None:
         """``picture``: uint8 [H, W, 3] RGB, scaled down to a longest side of ``size`` px."""
-        self.stored.files[name] = encode_png(scaled(picture, size))
+        self.stored.files[name] = encode_png(shrunk(picture, size))
 
     def add_view(
         self, split: str, name: str, time: float, truth: np.ndarray, frame: Frame, row: dict[str, Any], kept: np.ndarray | None = None
@@ -34,7 +35,7 @@ class PictureBook:
         everywhere), the edges of both, and the depth."""
         color = frame.color.clamp(0, 1).numpy()
         stem = f"{split}/{row['frame']}"
-        shown = [scaled(picture, self.size) for picture in (truth, to_bytes(color))]
+        shown = [shrunk(picture, self.size) for picture in (truth, to_bytes(color))]
         self.add(f"{stem}/truth", shown[0], self.size)
         self.add(f"{stem}/render", shown[1], self.size)
         self.add(f"{stem}/error", error_picture(color, truth, kept), self.size)
@@ -50,15 +51,6 @@ class PictureBook:
             self.add(f"strip/{k}/render", to_bytes(render), STRIP_SIZE)
             if truth is not None:
                 self.add(f"strip/{k}/truth", truth, STRIP_SIZE)
-
-
-def scaled(picture: np.ndarray, size: int) -> np.ndarray:
-    """``picture``, scaled down to a longest side of ``size`` px if it is larger."""
-    height, width = picture.shape[:2]
-    if max(height, width) <= size:
-        return picture
-    scale = size / max(height, width)
-    return cv2.resize(picture, (max(1, round(width * scale)), max(1, round(height * scale))), interpolation=cv2.INTER_AREA)
 
 
 def to_bytes(color: np.ndarray) -> np.ndarray:

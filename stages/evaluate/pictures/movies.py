@@ -11,11 +11,12 @@ from ....pipeline import ArtifactWriter, Context
 from ....pipeline.choice.evenly import evenly
 from ....rasterizer import Camera
 from ....vision.images.movie import encode_movie
+from ....vision.images.pictures import shrunk
 from ...exports.camera_path import named_path
 from ...shared.frameset import FrameSet
 from ..artifact import write_movie
 from ..judge import Judge
-from .book import scaled, to_bytes
+from .book import to_bytes
 
 SIZE = 480  # px, longest side of one picture
 SECONDS, FPS = 4.0, (2.0, 30.0)  # desired duration, and bounds on the frames per second, which take precedence
@@ -50,7 +51,7 @@ def in_order_of_time(frames: FrameSet, indices: Sequence[int], most: int) -> lis
 
 def _beside(judge: Judge, frames: FrameSet, i: int) -> np.ndarray:
     """The ground truth on the left, the render on the right."""
-    return np.concatenate([scaled(frames.composited(i), SIZE), scaled(to_bytes(judge.render(i)[0]), SIZE)], axis=1)
+    return np.concatenate([shrunk(frames.composited(i), SIZE), shrunk(to_bytes(judge.render(i)[0]), SIZE)], axis=1)
 
 
 def _turn(judge: Judge, frames: FrameSet, count: int) -> Iterator[np.ndarray]:
