@@ -194,6 +194,12 @@ class Views:
         inside = (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
         return Projected(ahead[inside], x[inside].astype(int), y[inside].astype(int), cam[inside, 2])
 
+    def lift(self, i: int, at: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """World positions [n, 3] of places ``at`` [n, 2] (x, y, px at full size) of frame ``i`` at ``depth`` [n]."""
+        K, pose = self.K[i], self.cam_from_world[i]
+        ray = np.concatenate([(at - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones((len(at), 1))], axis=1)
+        return (ray * depth[:, None] - pose[:3, 3]) @ pose[:3, :3]
+
     def centres(self) -> np.ndarray:
         """Camera centres [F, 3] in world units, -R^T t."""
         R, T = self.cam_from_world[:, :3, :3], self.cam_from_world[:, :3, 3]

@@ -41,8 +41,7 @@ def ray_seeds(
         at, distance, near = (a[distance[:, 0] > gap] for a in (at, distance, near))
         weight = 1 / (distance + soft) ** 2
         z = weight.sum(1) / (weight / depth[near]).sum(1)
-        ray = np.concatenate([(at - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones((len(at), 1))], axis=1)
-        found.append((ray * z[:, None] - pose[:3, 3]) @ pose[:3, :3])
+        found.append(views.lift(int(i), at, z))
     seeds = np.concatenate(found) if found else np.zeros((0, 3))
     return seeds[rng.permutation(len(seeds))[:count]]
 

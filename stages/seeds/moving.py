@@ -146,7 +146,7 @@ def camera_seeds(
             for j in near:
                 z[j] = depth_at(objects, depths[j], views.K[frames[j]], j, places[j], usual, given, frames[j])
             z = steady(z, alive)
-            where = np.stack([lift(views, frames[j], places[j], z[j]) for j in near])
+            where = np.stack([views.lift(frames[j], places[j] + 0.5, z[j]).astype(np.float32) for j in near])
             number = views.time[[frames[j] for j in near]] * (len(np.unique(views.time)) - 1)
             velocity = slope(number, where, alive[near])
             picture = views.load(frames[k]) / 255.0
@@ -179,7 +179,7 @@ def own_speed(chain: Chain, objects: Objects, depths: list[np.ndarray], views: V
         if moved is None or not len(begin):
             continue
         z = depth_at(objects, depths[k], views.K[frames[k]], k, begin, usual)
-        at_rest = places_of(views, frames[k + 1], lift(views, frames[k], begin, z))
+        at_rest = places_of(views, frames[k + 1], views.lift(frames[k], begin + 0.5, z).astype(np.float32))
         there, trusted = moved
         found.append(np.linalg.norm(there - at_rest, axis=1)[trusted & np.isfinite(at_rest).all(1)])
     values = np.concatenate(found) if found else np.zeros(0)
@@ -208,10 +208,3 @@ def join(found: list[MovingSeeds]) -> MovingSeeds | None:
         return None
     points, colors, velocities, time = (np.concatenate(parts) for parts in zip(*(one[:4] for one in found)))
     return MovingSeeds(points, colors, velocities, time)
-
-
-def lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """World positions [n, 3] of pixels ``places`` [n, 2] (centres at +0.5) of frame ``i`` at depths ``z`` [n]."""
-    K, pose = views.K[i], views.cam_from_world[i]
-    ray = np.stack([(places[:, 0] + 0.5 - K[0, 2]) / K[0, 0], (places[:, 1] + 0.5 - K[1, 2]) / K[1, 1], np.ones(len(places))], 1)
-    return ((ray * z[:, None] - pose[:3, 3]) @ pose[:3, :3]).astype(np.float32)

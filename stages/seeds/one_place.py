@@ -16,7 +16,6 @@ from ...vision.images.pictures import size_within
 from ..depth.artifact import StoredDepth, read_depth
 from ..shared.frameset import FrameSet
 from ..shared.masks import unsteady_mask
-from .moving import lift
 
 MAP = 320  # px, longest side of the map of inverse depth
 OPAQUE = 127  # of 255, alpha above which a pixel shows something
@@ -51,7 +50,7 @@ def standing_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> 
     if frames.alpha:
         opaque = np.max([frames.image(int(k))[..., 3] for k in views.train[:: max(1, len(views.train) // LOOKS)]], axis=0) > OPAQUE
         at, column, row = (one[opaque[row, column]] for one in (at, column, row))
-    points = lift(views, i, at - 0.5, depth[row, column]).astype(np.float64)
+    points = views.lift(i, at, depth[row, column]).astype(np.float32).astype(np.float64)
     ctx.log(f"seeds: {len(points)} on the background, which is the median of its pictures")
     size = size_within(views.width, views.height, MAP)
     inverse = cv2.resize((1 / depth).astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
