@@ -27,7 +27,7 @@ def compressed_ply_bytes(gaussians: Gaussians, comments: Sequence[str] = ()) -> 
     assert shown.sh is not None
     means, quats, sh = (a.detach().cpu().double().numpy() for a in (shown.means, shown.quats, shown.sh))
     logs, opacities = shown.scales.log().detach().cpu().double().numpy(), shown.opacities.clamp(0, 1).detach().cpu().double().numpy()
-    order = along_a_curve(means)
+    order = np.argsort(morton(means), kind="stable")
     values = np.concatenate([means, logs, 0.5 + SH_C0 * sh[:, 0]], 1)[order]
     rows, chunks = len(order), -(-len(order) // CHUNK)
     of_chunk = np.arange(rows) // CHUNK
@@ -54,17 +54,18 @@ def compressed_ply_bytes(gaussians: Gaussians, comments: Sequence[str] = ()) -> 
     return text.encode() + np.ascontiguousarray(boxes, "<f4").tobytes() + packed.tobytes() + coded.tobytes(), rows
 
 
-def along_a_curve(means: np.ndarray) -> np.ndarray:
-    """[N] order of ``means`` [N, 3] along a space-filling curve (Morton 1966): the bits of x, y and z are interleaved."""
-    if not len(means):
+def morton(points: np.ndarray, cut: float = 0.0) -> np.ndarray:
+    """[N] int64: place of each of ``points`` [N, 3] on a space-filling curve (Morton 1966): the bits of x, y and z are interleaved. cut:
+    percent of them at either end of an axis that may lie outside the curve's box and get the place of its rim."""
+    if not len(points):
         return np.zeros(0, np.int64)
-    low, high = means.min(0), means.max(0)
-    cell = ((means - low) / np.where(high > low, high - low, 1.0) * 1023).astype(np.int64)
-    code = np.zeros(len(means), np.int64)
+    low, high = np.percentile(points, [cut, 100 - cut], axis=0)
+    cell = ((points - low) / np.maximum(high - low, 1e-12) * 1023).clip(0, 1023).astype(np.int64)
+    code = np.zeros(len(points), np.int64)
     for bit in range(10):
         for axis in range(3):
             code |= (cell[:, axis] >> bit & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="stable")
+    return code
 
 
 def _packed(values: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from ...rasterizer import Gaussians
-from .compressed_ply import along_a_curve
+from .compressed_ply import morton
 from .ply import seen
 from .smallest_three import LARGEST, smallest_three
 from .tables import nearest_numbers, table_of_numbers, table_of_vectors
@@ -43,7 +43,7 @@ def sog_bytes(gaussians: Gaussians, antialiased: bool = False) -> tuple[bytes, i
     curved = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
     low, high = curved.min(0), curved.max(0)
     fixed = np.rint((curved - low) / np.maximum(high - low, 1e-30) * 65535).astype(np.int64)
-    order = along_a_curve(curved)  # neighbours look alike, which makes the images smaller
+    order = np.argsort(morton(curved), kind="stable")  # neighbours look alike, which makes the images smaller
     left_out, others = smallest_three(quats)
     codes = [_bytes((others / LARGEST + 1) * 127.5), FOUR + left_out[:, None]]
     logs, colors = np.log(scales), sh[:, 0]

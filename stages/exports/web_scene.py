@@ -74,28 +74,17 @@ def in_order(primitives: PrimitiveSet, model: Model):
     """Indices of those that are drawn, still ones first, neighbours near one another; and (still, moving), how many there are of each."""
     import torch
 
+    from ...scene.formats.compressed_ply import morton
+
     drawn = primitives.opacities >= LEAST_ALPHA
     for value in primitives.parameters.values():
         drawn = drawn & torch.isfinite(value).reshape(len(primitives), value[0].numel() if len(primitives) else 1).all(1)
     moving = primitives.dynamic if not model.motion.static else torch.zeros_like(primitives.dynamic)
     centres = primitives.rest_points().detach().reshape(len(primitives), -1, 3).mean(1) if len(primitives) else torch.zeros(0, 3)
-    code = torch.tensor(morton(centres.numpy()))
+    code = torch.tensor(morton(centres.numpy(), 1))
     found = [torch.nonzero(drawn & which)[:, 0] for which in (~moving, moving)]
     found = [index[torch.argsort(code[index], stable=True)] for index in found]
     return torch.cat(found), (len(found[0]), len(found[1]))
-
-
-def morton(points: np.ndarray) -> np.ndarray:
-    """[n] int64 place of each of ``points`` [n, 3] on a curve on which neighbours in space are mostly neighbours."""
-    if not len(points):
-        return np.zeros(0, np.int64)
-    low, high = np.percentile(points, [1, 99], axis=0)
-    cell = ((points - low) / np.maximum(high - low, 1e-12) * 1023).clip(0, 1023).astype(np.int64)
-    code = np.zeros(len(points), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            code |= (cell[:, axis] >> bit & 1) << (3 * bit + axis)
-    return code
 
 
 def look_arrays(primitives: PrimitiveSet, degree: int) -> dict[str, np.ndarray]:
