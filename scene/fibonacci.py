@@ -17,7 +17,7 @@ def fibonacci_sphere(count: int) -> np.ndarray:
     return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
 
 
-def neighbour_radius(centres: np.ndarray, neighbours: int = 3) -> np.ndarray:
+def neighbour_radius(centres: np.ndarray) -> np.ndarray:
     """Mean distance [N] of each of ``centres`` [N, 3] to its three nearest neighbours: small in dense regions, large in sparse ones.
 
     With fewer than two centres there is no neighbour, and the radius is 1. Coincident centres get the smallest positive radius of the set.
@@ -27,7 +27,6 @@ def neighbour_radius(centres: np.ndarray, neighbours: int = 3) -> np.ndarray:
     n = len(centres)
     if n < 2:
         return np.ones(n)
-    k = min(neighbours, n - 1)
-    distance = cKDTree(centres).query(centres, k=k + 1)[0][:, 1:].mean(axis=1)
+    distance = cKDTree(centres).query(centres, k=min(4, n))[0][:, 1:].mean(axis=1)
     positive = distance[distance > 0]
     return np.maximum(distance, positive.min() if len(positive) else 1.0)

@@ -12,13 +12,14 @@ from PIL import Image
 from ..pipeline import StageError
 from ..pipeline.choice.evenly import evenly
 from .sfm.alignment import camera_centres
-from .sfm.runner import Progress, WorkerError, run_worker
+from .sfm.runner import WorkerError, run_worker
 
 MAX_ERROR = 2.0  # px, in every view of a point
 MIN_ANGLE = 1.0  # degrees between the outermost rays of a point
 MIN_TRACK = 3  # views: any two features on an epipolar line triangulate, only a third view verifies the point; where no frame has
 # two others to be matched with, as in a rig of two cameras, two views must do
 MAX_FEATURES = 3072
+MAX_FRAMES = 90
 ERROR_SPREAD = 1.75  # times the median error; four in five of the points that match by chance on an epipolar line have a larger error
 NEIGHBOURS = 8  # nearest cameras that each camera is matched with
 STEPS = (1, 2, 4, 8)  # distances between the chosen frames of one moving camera that are matched
@@ -40,12 +41,10 @@ class PosedPictures(Protocol):
         ...
 
 
-def triangulate(
-    frameset: PosedPictures, max_frames: int = 90, seed: int = 0, progress: Progress | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def triangulate(frameset: PosedPictures, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Triangulates SIFT features of the training frames with their known cameras.
 
-    At most about `max_frames` frames are read. Cameras that see the same time are matched with one another, never across times. A moving
+    At most about `MAX_FRAMES` frames are read. Cameras that see the same time are matched with one another, never across times. A moving
     camera is matched with itself over time; points on moving objects then fail the test of the reprojection error.
 
     Returns points [P,3] float64 (world), colors [P,3] uint8 (RGB), errors [P] float64 (mean reprojection error, px). Points lie in front
@@ -54,7 +53,7 @@ def triangulate(
     """
     if frameset.K is None or frameset.cam_from_world is None:
         raise StageError("triangulation needs poses; the capture has none and `poses` did not run")
-    frames = choose_frames(np.asarray(frameset.train), np.asarray(frameset.time), max_frames)
+    frames = choose_frames(np.asarray(frameset.train), np.asarray(frameset.time), MAX_FRAMES)
     poses = np.asarray(frameset.cam_from_world, np.float64)[frames]
     pairs = choose_pairs(poses, np.asarray(frameset.time)[frames])
     empty = np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0)
@@ -62,7 +61,7 @@ def triangulate(
         return empty
     with tempfile.TemporaryDirectory(prefix="e4dgs-points-") as temporary:
         folder = Path(temporary)
-        names = _write_images(frameset, frames, folder / "images", progress)
+        names = _write_images(frameset, frames, folder / "images")
         request = {
             "task": "triangulate",
             "root": str(folder / "images"),
@@ -79,7 +78,7 @@ def triangulate(
             "min_track": MIN_TRACK if thrice(pairs) else 2,
         }
         try:
-            arrays, _ = run_worker(request, folder, progress)
+            arrays, _ = run_worker(request, folder)
         except WorkerError as error:
             raise StageError(f"triangulating points with known poses failed. {error}") from error
     keep = keep_precise(arrays["errors"])
@@ -133,11 +132,9 @@ def thrice(pairs: list[tuple[int, int]]) -> bool:
     return len({frame for pair in pairs for frame in pair}) < 2 * len(pairs)
 
 
-def _write_images(frameset: PosedPictures, frames: np.ndarray, folder: Path, progress: Progress | None) -> list[str]:
+def _write_images(frameset: PosedPictures, frames: np.ndarray, folder: Path) -> list[str]:
     folder.mkdir()
     names = [f"{n:06d}.png" for n in range(len(frames))]
     for n, i in enumerate(frames):
         Image.fromarray(frameset.composited(int(i))).save(folder / names[n], compress_level=1)
-        if progress is not None:
-            progress("images", n + 1, len(frames))
     return names

@@ -7,14 +7,14 @@ import numpy as np
 from ..views import Views
 from .volume import common_volume
 
+MAJORITY = 0.8
 
-def carve(
-    views: Views, objects: list[np.ndarray], frames: np.ndarray, count: int, seed: int, majority: float = 0.8
-) -> tuple[np.ndarray, np.ndarray]:
+
+def carve(views: Views, objects: list[np.ndarray], frames: np.ndarray, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """``count`` points [count, 3] in the common volume that most views saw as an object, with their mean colours [count, 3] in [0, 1].
 
     objects: a mask [H, W] bool for each frame of ``frames``. Objects move between frames, so a majority of views decides, not all of them:
-    points are drawn from the candidates that at least the share ``majority`` of the views see as an object. If these are fewer than
+    points are drawn from the candidates that at least the share `MAJORITY` of the views see as an object. If these are fewer than
     ``count``, the candidates with the next largest shares are added.
     """
     centre, radius = common_volume(views)
@@ -27,7 +27,7 @@ def carve(
         hits[shown] += mask[y, x]
     share = np.where(seen >= 0.5 * len(frames), hits / np.maximum(seen, 1), 0.0)
     order = np.argsort(-share, kind="stable")
-    solid = int((share >= majority).sum())
+    solid = int((share >= MAJORITY).sum())
     chosen = rng.permutation(order[: max(solid, count)])[:count]
     points = candidates[chosen]
 

@@ -8,12 +8,12 @@ from ..views import Views
 
 
 def median_colours(
-    views: Views, points: np.ndarray, frames: np.ndarray, masks: list[np.ndarray] | None = None, blank: float = 0.5
+    views: Views, points: np.ndarray, frames: np.ndarray, masks: list[np.ndarray] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Per-channel median [P, 3] in [0, 1] of what ``frames`` show at ``points`` [P, 3] (world units), and how many show each [P] int.
 
     Objects in front of a point in a few frames do not affect a median as they would a mean. masks: one [H, W] bool a frame; pixels where it
-    is False are ignored. A point that no frame shows gets ``blank``.
+    is False are ignored. A point that no frame shows is grey.
     """
     looks = np.full((len(frames), len(points), 3), np.inf, np.float32)  # inf sorts after every colour
     for k, i in enumerate(frames):
@@ -27,7 +27,7 @@ def median_colours(
     rows = np.arange(len(points))
     known = np.clip(count, 1, None)
     middle = (looks[(known - 1) // 2, rows] + looks[known // 2, rows]).astype(np.float64) / 2
-    return np.where(count[:, None] > 0, middle, blank), count
+    return np.where(count[:, None] > 0, middle, 0.5), count
 
 
 def mean_colour(views: Views) -> tuple[float, float, float]:

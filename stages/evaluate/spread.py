@@ -33,11 +33,11 @@ def spread(items: Sequence[int], count: int) -> list[int]:
     return [items[round(k * (len(items) - 1) / (count - 1))] for k in range(count)]
 
 
-def stretches(items: Sequence[int], count: int, longest: int = 16) -> list[list[int]]:
-    """Up to about ``count`` items in stretches of at most ``longest`` neighbours, evenly spread; one stretch of all if they are few."""
+def stretches(items: Sequence[int], count: int) -> list[list[int]]:
+    """Up to about ``count`` items in stretches of at most 16 neighbours, evenly spread; one stretch of all if they are few."""
     if len(items) <= count:
         return [list(items)]
-    longest = min(longest, count)
+    longest = min(16, count)
     begins = spread(range(len(items) - longest + 1), max(1, count // longest))
     return [list(items[begin : begin + longest]) for begin in begins]
 

@@ -89,7 +89,8 @@ def test_a_pixel_that_leaves_the_picture_or_is_covered_has_no_confidence():
 def test_smaller_working_size_gives_flow_in_full_pixels():
     image = pattern(192, 256)
     moved = np.roll(image, 6, 1)
-    flow = dis_flow(image, moved, max_size=128)
+    method = Dis(max_size=128)
+    flow = method.flow(method.prepare(image), method.prepare(moved))
     assert flow.shape == (192, 256, 2)
     assert np.abs(flow[32:-32, 32:-32] - [6, 0]).mean() < 0.3
 

@@ -37,9 +37,9 @@ def trusted(forward: np.ndarray, backward: np.ndarray, device: str = "cpu") -> F
     return FlowPair(forward, backward, confidence)
 
 
-def dis_flow(first: np.ndarray, second: np.ndarray, preset: Preset = "medium", max_size: int | None = None) -> np.ndarray:
+def dis_flow(first: np.ndarray, second: np.ndarray, preset: Preset = "medium") -> np.ndarray:
     """Flow [H, W, 2] float32 px between two pictures uint8 [H, W, 3] RGB by `Dis`."""
-    method = Dis(preset, max_size)
+    method = Dis(preset)
     return method.flow(method.prepare(first), method.prepare(second))
 
 

@@ -38,10 +38,10 @@ class Objects(NamedTuple):
         return np.clip(row.astype(int), 0, height - 1), np.clip(column.astype(int), 0, width - 1)
 
 
-def follow_objects(chain: Chain, frames: int, depth: Mapping[int, np.ndarray] | None = None, seed: int = 0) -> Objects:
+def follow_objects(chain: Chain, frames: int, depth: Mapping[int, np.ndarray] | None = None) -> Objects:
     """The connected parts of the masks of ``chain`` in its first ``frames`` frames, linked over time by flow. depth: [H, W] of some frames,
     0 where it is unknown, which tells things apart that touch in the picture."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     labels = [_parts(chain.small_mask(k), (depth or {}).get(k)) for k in range(frames)]
     height, width = labels[0].shape
     objects = Objects(labels, (chain.width / width, chain.height / height), [], [])

@@ -33,10 +33,10 @@ def runs(missing: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple((int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2]))
 
 
-def spans(gaps: Sequence[tuple[int, int]], most: int = 8) -> str:
+def spans(gaps: Sequence[tuple[int, int]]) -> str:
     """`3, 7-9, 12 and 4 more`."""
-    text = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in gaps[:most])
-    return text + (f" and {len(gaps) - most} more" if len(gaps) > most else "")
+    text = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in gaps[:8])
+    return text + (f" and {len(gaps) - 8} more" if len(gaps) > 8 else "")
 
 
 def frames_named(frames: Sequence[int]) -> str:

@@ -95,10 +95,10 @@ def angles(seen: Observations, good: np.ndarray) -> np.ndarray:
     return widest
 
 
-def purge(model: pycolmap.Reconstruction, max_error: float = MAX_ERROR, min_angle: float = MIN_ANGLE, fewest: int = FEWEST) -> Purged:
-    """Removes in place: observations off by more than `max_error` px or of points not in front of the camera; points without finite
-    coordinates, with fewer than two observations left, or seen under less than `min_angle` degrees; and poses that are not finite or that
-    have fewer than `fewest` observations. Removing a pose removes its observations, so this repeats until nothing is left to remove.
+def purge(model: pycolmap.Reconstruction) -> Purged:
+    """Removes in place: observations off by more than `MAX_ERROR` px or of points not in front of the camera; points without finite
+    coordinates, with fewer than two observations left, or seen under less than `MIN_ANGLE` degrees; and poses that are not finite or that
+    have fewer than `FEWEST` observations. Removing a pose removes its observations, so this repeats until nothing is left to remove.
     """
     purged = Purged()
     while True:
@@ -109,9 +109,9 @@ def purge(model: pycolmap.Reconstruction, max_error: float = MAX_ERROR, min_angl
             model.delete_point3D(key)
             purged.points += 1
         seen = observe(model)
-        good = seen.error <= max_error
+        good = seen.error <= MAX_ERROR
         starts, ends = groups(seen.point)
-        hopeless = angles(seen, good) < min_angle
+        hopeless = angles(seen, good) < MIN_ANGLE
         purged.points += int(hopeless.sum())
         for key in seen.point[starts[hopeless]]:
             model.delete_point3D(int(key))
@@ -119,7 +119,7 @@ def purge(model: pycolmap.Reconstruction, max_error: float = MAX_ERROR, min_angl
         purged.observations += int(stray.sum())
         for image_id, feature in zip(seen.image[stray], seen.feature[stray], strict=True):
             model.delete_observation(int(image_id), int(feature))
-        weak = [i for i in sorted(model.reg_image_ids()) if len(model.image(i).get_observation_point2D_idxs()) < fewest]
+        weak = [i for i in sorted(model.reg_image_ids()) if len(model.image(i).get_observation_point2D_idxs()) < FEWEST]
         if not weak:
             return purged
         for image_id in weak:

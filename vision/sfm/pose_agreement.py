@@ -31,8 +31,8 @@ class Matches:
     xy2: np.ndarray
 
 
-def agreement(matches: Matches, arrays: Mapping[str, np.ndarray], frames: np.ndarray, tolerance: float = TOLERANCE) -> float:
-    """Share of the matches between `frames` [F] bool whose Sampson distance under the cameras is at most `tolerance` px; nan without any.
+def agreement(matches: Matches, arrays: Mapping[str, np.ndarray], frames: np.ndarray) -> float:
+    """Share of the matches between `frames` [F] bool whose Sampson distance under the cameras is at most `TOLERANCE` px; nan without any.
 
     arrays: `K` [F, 3, 3] px, `cam_from_world` [F, 4, 4], `distortion` [F, 4] as `reconstruct` returns them, finite for `frames`.
     Distances are measured in the cameras' pinhole images.
@@ -43,12 +43,12 @@ def agreement(matches: Matches, arrays: Mapping[str, np.ndarray], frames: np.nda
         a, b = (int(i) for i in matches.pair[start])
         if not (frames[a] and frames[b]):
             continue
-        good += int((_distances(arrays, a, b, matches.xy1[start:end], matches.xy2[start:end]) <= tolerance).sum())
+        good += int((_distances(arrays, a, b, matches.xy1[start:end], matches.xy2[start:end]) <= TOLERANCE).sum())
         total += int(end - start)
     return good / total if total else float("nan")
 
 
-def explained(pairs: Iterable[FreePair], arrays: Mapping[str, np.ndarray], tolerance: float = TOLERANCE) -> np.ndarray:
+def explained(pairs: Iterable[FreePair], arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """[F] how many of a frame's matches the cameras explain, as a multiple of how many the pairs' own fundamental matrices explain; nan for
     frames without a pose, and where less than `SUPPORT` of the matches are in pairs with such a matrix.
 
@@ -64,8 +64,8 @@ def explained(pairs: Iterable[FreePair], arrays: Mapping[str, np.ndarray], toler
         matched[[a, b]] += len(xy1)
         if F is not None:
             judged[[a, b]] += len(xy1)
-            by_cameras[[a, b]] += (_distances(arrays, a, b, xy1, xy2) <= tolerance).sum()
-            alone[[a, b]] += (sampson(F, np.asarray(xy1, np.float64), np.asarray(xy2, np.float64)) <= tolerance).sum()
+            by_cameras[[a, b]] += (_distances(arrays, a, b, xy1, xy2) <= TOLERANCE).sum()
+            alone[[a, b]] += (sampson(F, np.asarray(xy1, np.float64), np.asarray(xy2, np.float64)) <= TOLERANCE).sum()
     return np.divide(by_cameras, alone, out=np.full(len(registered), np.nan), where=(alone > 0) & (judged >= SUPPORT * matched))
 
 

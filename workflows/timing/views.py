@@ -21,12 +21,12 @@ class ViewCosts:
     setup: float
 
 
-def measure_views(job: Job, inputs: Mapping[str, Artifact | None], model: Artifact, views: int = 2) -> ViewCosts:
-    """Judges a few views one by one: `evaluate` measures some beside one another and takes no longer."""
+def measure_views(job: Job, inputs: Mapping[str, Artifact | None], model: Artifact) -> ViewCosts:
+    """Judges two views one by one: `evaluate` measures some beside one another and takes no longer."""
     begin = time.perf_counter()
     frames = FrameSet(inputs["frames"], job.capture.root, inputs["poses"])  # type: ignore[arg-type]
     judge = Judge(read_model(model).to(job.device), frames, None, fixed=frames.fixed_cameras)
-    chosen = [int(i) for i in frames.train[:: max(1, len(frames.train) // views)][:views]]
+    chosen = [int(i) for i in frames.train[:: max(1, len(frames.train) // 2)][:2]]
     judge.render(chosen[0])
     setup, judged, rendered = time.perf_counter() - begin, [], []
     for i in (chosen[0], *chosen):
