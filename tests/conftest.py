@@ -80,6 +80,26 @@ def shared_scenes() -> Path:
     return SHARED / "scenes"
 
 
+@pytest.fixture
+def emulated(request: pytest.FixtureRequest) -> None:
+    """Where the emulator's kernels cannot be compiled, only tests marked `cuda` run."""
+    from simt import why_not
+
+    if why_not() and not request.node.get_closest_marker("cuda"):
+        pytest.skip(why_not())
+
+
+@pytest.fixture
+def one_thread() -> Generator[None]:
+    """For small tensors, with which several threads would only wait for one another."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
 @pytest.fixture(scope="session")
 def dnerf_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
     """12 train, 2 val, 4 test RGBA views of 64x64, a new camera at every time."""

@@ -1,12 +1,11 @@
 """What holds for the CUDA kernels alone: determinism, any order of threads, many extras, sizes that are fixed beforehand, and refusals."""
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
 import torch
+from deterministic import deterministic
 from e4dgs.rasterizer import Frame, cuda_backend, rasterize
 from e4dgs.rasterizer.cuda import capacity, selftest, state
 from e4dgs.rasterizer.cuda import forward as passes
@@ -21,15 +20,6 @@ from .kernels import GPU, on_the_gpu
 from .scenes import Scene, one_convex, prism, random_scene
 
 EVERYTHING = {"gaussians": 40, "convexes": 20, "degree": 2, "extras": 2, "width": 45, "height": 37}
-
-
-@contextmanager
-def deterministic() -> Iterator[None]:
-    torch.use_deterministic_algorithms(True)
-    try:
-        yield
-    finally:
-        torch.use_deterministic_algorithms(False)
 
 
 def everything(scene: Scene, weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

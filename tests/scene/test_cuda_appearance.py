@@ -9,7 +9,9 @@ from e4dgs.scene.cuda.photometric import photometric_loss
 from e4dgs.scene.losses import photometric
 from e4dgs.scene.losses.appearance import OTHER_BACKGROUND
 from pretend_cuda import pretending_cuda
-from simt import CHECKED, RACES, Emulator, why_not
+from simt import CHECKED, RACES, Emulator
+
+pytestmark = pytest.mark.usefixtures("emulated")
 
 SIZES = [(1, 1), (5, 3), (9, 33), (33, 17), (2, 70)]  # a tile is 8 x 32
 PARTS = [
@@ -22,12 +24,6 @@ PARTS = [
     {"alpha", "kept", "weight"},
     {"alpha", "kept", "weight", "recording"},
 ]
-
-
-@pytest.fixture(autouse=True)
-def _needs_compiler(request):
-    if why_not() and not request.node.get_closest_marker("cuda"):
-        pytest.skip(why_not())
 
 
 def on(launcher):

@@ -10,15 +10,10 @@ from e4dgs.scene.cuda import displace as on_gpu
 from e4dgs.scene.cuda.displace import displace
 from e4dgs.scene.motion.planes.displace import displace as anywhere
 from e4dgs.scene.motion.planes.field import DeformationField
-from simt import CHECKED, RACES, Emulator, why_not
+from simt import CHECKED, RACES, Emulator
 
+pytestmark = pytest.mark.usefixtures("emulated")
 CENTRE, REACH = torch.tensor([0.3, -0.2, 0.1]), 0.7
-
-
-@pytest.fixture(autouse=True)
-def _needs_compiler(request):
-    if why_not() and not request.node.get_closest_marker("cuda"):
-        pytest.skip(why_not())
 
 
 def inputs(n):

@@ -1,18 +1,20 @@
 """The GPU's six-plane look-up, on the emulator: against plain float64 torch, and its promises."""
 
 import math
-from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
 import torch
+from deterministic import deterministic
 from e4dgs.rasterizer.cuda.runtime import launching
 from e4dgs.scene.cuda import field
 from e4dgs.scene.cuda.field import look_up
 from e4dgs.scene.motion.planes import field_kernel
 from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.motion.planes.field_reference import lookup_reference
-from simt import CHECKED, RACES, Emulator, why_not
+from simt import CHECKED, RACES, Emulator
+
+pytestmark = pytest.mark.usefixtures("emulated")
 
 BOX = torch.tensor([-1.0, 0, 2]), torch.tensor([1.0, 3, 2.5])
 # channels, resolutions, times, points: every number of levels, groups of 1 to 16 lanes, one sample alone, and (the last) lines that no
@@ -25,12 +27,6 @@ CASES = [
     (32, (7, 5, 9), 2, 33),
     (64, (1, 6, 3, 50), 3, 50),
 ]
-
-
-@pytest.fixture(autouse=True)
-def _needs_compiler(request):
-    if why_not() and not request.node.get_closest_marker("cuda"):
-        pytest.skip(why_not())
 
 
 def make(channels, resolutions, times, seed=3):
@@ -68,15 +64,6 @@ def assert_close(found, expected, tolerance=1e-5):
     assert len(found) == len(expected)
     for a, b in zip(found, expected):
         assert a.shape == b.shape and (a - b).norm() <= tolerance * b.norm()
-
-
-@contextmanager
-def deterministic():
-    torch.use_deterministic_algorithms(True)
-    try:
-        yield
-    finally:
-        torch.use_deterministic_algorithms(False)
 
 
 @pytest.mark.parametrize(("channels", "resolutions", "times", "n"), CASES)

@@ -7,16 +7,12 @@ from e4dgs.scene.motion.lifetimes.at_frame import at_frame as anywhere
 from e4dgs.scene.motion.lifetimes.at_frame import at_frame_reference
 from e4dgs.scene.motion.lifetimes.lifetime import Lifetime
 from pretend_cuda import pretending_cuda
-from simt import CHECKED, RACES, Emulator, why_not
+from simt import CHECKED, RACES, Emulator
+
+pytestmark = pytest.mark.usefixtures("emulated")
 
 FRAME = 4.2
 LIMIT = 1e-5  # of the largest number of each result
-
-
-@pytest.fixture(autouse=True)
-def _needs_compiler(request):
-    if why_not() and not request.node.get_closest_marker("cuda"):
-        pytest.skip(why_not())
 
 
 def given(n, corners=1, with_quats=True, still=0.3, at_once=False):

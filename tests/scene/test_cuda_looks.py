@@ -7,13 +7,9 @@ from e4dgs.scene.cuda.looks import look
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from pretend_cuda import pretending_cuda
-from simt import CHECKED, RACES, Emulator, why_not
+from simt import CHECKED, RACES, Emulator
 
-
-@pytest.fixture(autouse=True)
-def _needs_compiler(request):
-    if why_not() and not request.node.get_closest_marker("cuda"):
-        pytest.skip(why_not())
+pytestmark = pytest.mark.usefixtures("emulated")
 
 
 def on(launcher):

@@ -1,35 +1,21 @@
 """The GPU's kernels of skinning, on the emulator: against plain float64 torch, and their promises."""
 
-from contextlib import contextmanager
-
 import numpy as np
 import pytest
 import torch
+from deterministic import deterministic
 from e4dgs.scene.cuda.skinning import nearest_nodes, skin
 from e4dgs.scene.motion.nodes.nodes import Nodes
 from e4dgs.scene.motion.nodes.skinning import nearest_nodes as nearest_anywhere
 from e4dgs.scene.motion.nodes.skinning import skin as skin_anywhere
 from e4dgs.scene.motion.nodes.skinning import skin_reference
 from pretend_cuda import pretending_cuda
-from simt import CHECKED, RACES, Emulator, why_not
+from simt import CHECKED, RACES, Emulator
+
+pytestmark = pytest.mark.usefixtures("emulated")
 
 LIMIT = 5e-6  # of the largest number of each result
 OWN = ("points", "quats", "hyper")
-
-
-@pytest.fixture(autouse=True)
-def _needs_compiler(request):
-    if why_not() and not request.node.get_closest_marker("cuda"):
-        pytest.skip(why_not())
-
-
-@contextmanager
-def deterministic():
-    torch.use_deterministic_algorithms(True)
-    try:
-        yield
-    finally:
-        torch.use_deterministic_algorithms(False)
 
 
 def scene(n=300, nodes=25, links=4, hyper=2, offset=0.0, apart=1.0):

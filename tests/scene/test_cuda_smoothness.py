@@ -8,16 +8,12 @@ from e4dgs.rasterizer.cuda.runtime import launching
 from e4dgs.scene.cuda import smoothness
 from e4dgs.scene.cuda.smoothness import total_variation
 from e4dgs.scene.motion.planes.hexplane import HexPlanes, smoothness_reference
-from simt import CHECKED, RACES, Emulator, why_not
+from simt import CHECKED, RACES, Emulator
+
+pytestmark = pytest.mark.usefixtures("emulated")
 
 # resolutions, times, channels: nothing to differ from, one axis only, rows shorter and longer than a block's piece, seven channels
 CASES = [((1,), 1, 4), ((1, 3), 2, 4), ((2,), 3, 64), ((5, 9), 4, 7), ((16, 32), 6, 16), ((16, 5, 33), 1, 32)]
-
-
-@pytest.fixture(autouse=True)
-def _needs_compiler(request):
-    if why_not() and not request.node.get_closest_marker("cuda"):
-        pytest.skip(why_not())
 
 
 def make(resolutions, times, channels):

@@ -56,6 +56,12 @@ def capture(tmp_path) -> Path:
     return folder
 
 
+@pytest.fixture
+def short_fit(monkeypatch):
+    """How well convexes are fitted is for tests/stages/test_splat_bake.py."""
+    monkeypatch.setattr("e4dgs.stages.exports.bake.STEPS", 5)
+
+
 @pytest.fixture(scope="session")
 def finished_run(dnerf_capture, tmp_path_factory):
     """A tiny capture and the workspace in which it was reconstructed; others add to the workspace and take nothing away. Several processes

@@ -16,16 +16,9 @@ from e4dgs.workflows.bench.timing import interleaved
 from pretended.gpu import pretended_gpu
 from simt import needs_compiler
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 TINY = ("--scale", "0.001", "--repeats", "1", "--seconds", "0")
 ROWS = [(suite, row.name) for suite, rows in SUITES.items() for row in rows]
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture

@@ -17,13 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 import export_readers as readers
 import exports
 
+pytestmark = pytest.mark.usefixtures("short_fit")
 QUICK = ["--set", "coarse.iterations=40", "--set", "hulls.budget=20", "--set", "fine.iterations=10", "--device", "cpu"]
-
-
-@pytest.fixture(autouse=True)
-def short_fit(monkeypatch):
-    """How well convexes are fitted is for tests/stages/test_splat_bake.py."""
-    monkeypatch.setattr("e4dgs.stages.exports.bake.STEPS", 5)
 
 
 @pytest.fixture(scope="module")

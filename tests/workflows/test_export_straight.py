@@ -10,11 +10,7 @@ from e4dgs.scene.formats.freetime import read_freetime
 from e4dgs.workflows.cli import main
 from e4dgs.workflows.exports.trained import Trained
 
-
-@pytest.fixture(autouse=True)
-def short_fit(monkeypatch):
-    """How well convexes are fitted is for tests/stages/test_splat_bake.py."""
-    monkeypatch.setattr("e4dgs.stages.exports.bake.STEPS", 5)
+pytestmark = pytest.mark.usefixtures("short_fit")
 
 
 @pytest.fixture(scope="module")

@@ -19,13 +19,8 @@ from small_disk import small_disk
 pxr = pytest.importorskip("pxr")
 from pxr import Gf, Usd, UsdGeom, UsdValidation, UsdVol  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("short_fit")
 QUICK = ["--set", "coarse.iterations=40", "--set", "hulls.budget=20", "--set", "fine.iterations=10", "--device", "cpu"]
-
-
-@pytest.fixture(autouse=True)
-def short_fit(monkeypatch):
-    """How well convexes are fitted is for tests/stages/test_splat_bake.py."""
-    monkeypatch.setattr("e4dgs.stages.exports.bake.STEPS", 5)
 
 
 @pytest.fixture(scope="module")
