@@ -39,7 +39,7 @@ LONGEST = 4  # times the usual number of seeds on what moves, the most for a lon
 LOOKS = 60  # masks of a moving camera that are used
 
 
-class Seeds(NamedTuple):
+class PlacedSeeds(NamedTuple):
     """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: points that were measured, not guessed. inverse_depth: of the
     static scene in front of each camera, see `Swept`. given: depth that came with the capture. swept: of ``inverse_depth``, what the
     plane sweep found."""
@@ -52,14 +52,14 @@ class Seeds(NamedTuple):
     swept: dict[int, np.ndarray] | None = None
 
 
-def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: bool = False) -> Seeds:
+def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: bool = False) -> PlacedSeeds:
     """Initial positions of Gaussians: points of the capture or SfM, otherwise carved silhouettes, otherwise triangulated points. Seeds of
     rigs are filled up to about ``count``, and so are those of captures whose points have to be triangulated, and with ``fill`` also
     those of others."""
     settings = ctx.settings
     if frames.stands_still and not frames.enough_points:
         standing = standing_seeds(ctx, frames, views, count)
-        return Seeds(standing.points, standing.colors, standing.points, standing.inverse, standing.given)
+        return PlacedSeeds(standing.points, standing.colors, standing.points, standing.inverse, standing.given)
     if frames.enough_points:
         points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
         ctx.log(f"seeds: {len(points)} points of the capture or of SfM")
@@ -69,7 +69,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
         objects = [frames.image(int(i))[..., 3] > 127 for i in chosen]
         ctx.log(f"seeds: {count} points inside the silhouettes of {len(chosen)} views")
         points, colors = carve(views, objects, chosen, count, settings.seed)
-        return Seeds(points, colors, points, {})
+        return PlacedSeeds(points, colors, points, {})
     else:
         points, colors = triangulated(ctx, frames)
         fill = True
@@ -93,7 +93,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
         points, colors = np.concatenate([points, more]), np.concatenate([colors, np.full((count, 3), 0.5)])
     found = swept.inverse if swept else {}
     inverse = found if given is None else static_inverse(given, found)
-    return Seeds(points, colors, measured if len(measured) else points, inverse, given, found)
+    return PlacedSeeds(points, colors, measured if len(measured) else points, inverse, given, found)
 
 
 def triangulated(ctx: Context, frames: FrameSet) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +114,7 @@ def given_depth(ctx: Context) -> StoredDepth | None:
     return given
 
 
-def moving_seeds(ctx: Context, frames: FrameSet, views: Views, seeds: Seeds, most: int) -> MovingSeeds | None:
+def moving_seeds(ctx: Context, frames: FrameSet, views: Views, seeds: PlacedSeeds, most: int) -> MovingSeeds | None:
     """Up to ``most`` seeds on moving objects, at several times; None without masks of moving pixels. seeds: mostly of what is static. In
     front of one camera, they are more if there are more than `KEYS` times, since each
     is present for a short time, unless the number of Gaussians is limited by a setting."""

@@ -93,7 +93,7 @@ def test_what_fixed_cameras_see_counts_before_masks_of_moving_pixels(tmp_path):
     assert initial_dynamic(ctx, points(), views(True), False).tolist() == [x >= 6 for x in range(WIDTH)]
 
 
-SEEDS = room.Seeds(points(), points(), points(), {})
+SEEDS = room.PlacedSeeds(points(), points(), points(), {})
 
 
 def test_without_masks_every_seed_may_move(tmp_path):

@@ -14,7 +14,7 @@ from html.parser import HTMLParser
 import pyarrow.parquet
 import pytest
 from e4dgs.pipeline import SettingsError
-from e4dgs.workflows.batch.ledger import Ledger, Progress
+from e4dgs.workflows.batch.ledger import Ledger, SceneState
 from e4dgs.workflows.batch.listing import Entry, entries_of
 from e4dgs.workflows.batch.sites.cluster import read_cluster
 from e4dgs.workflows.batch.sites.pools import Cluster
@@ -203,7 +203,7 @@ def test_a_scene_with_other_settings_is_run_again(finished, dnerf_capture):
     before = ledger.entries()
     changed = [Entry(before[0].name, before[0].capture, (("coarse.iterations", "30"),))]
     again = Ledger.create(folder / "work", "other", before[:1])
-    again.write(before[0].name, Progress("done"))
+    again.write(before[0].name, SceneState("done"))
     assert Ledger.create(folder / "work", "other", before[:1]).progress(before[0].name).state == "done"
     assert Ledger.create(folder / "work", "other", changed).progress(before[0].name).state == "waiting"
 
@@ -302,7 +302,7 @@ def test_job_scripts_for_slurm_are_shell_and_do_the_work(dnerf_capture, tmp_path
 
 def test_arrays_of_slurm_have_at_most_a_thousand_tasks(tmp_path):
     ledger = Ledger.create(tmp_path, "many", [Entry(f"scene{k}", "/capture") for k in range(2003)])
-    ledger.write("scene7", Progress("done"))
+    ledger.write("scene7", SceneState("done"))
     folder = emit(ledger, Cluster.model_validate({"cpu": {"provider": "slurm"}}))
     assert "scene7\n" not in (folder / "scenes.txt").read_text()
     fake = tmp_path / "bin" / "sbatch"

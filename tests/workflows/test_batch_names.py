@@ -4,7 +4,7 @@ import csv
 import re
 from pathlib import Path
 
-from e4dgs.workflows.batch.ledger import Ledger, Progress
+from e4dgs.workflows.batch.ledger import Ledger, SceneState
 from e4dgs.workflows.batch.listing import Entry, entries_of
 from e4dgs.workflows.batch.work import run_part
 from e4dgs.workflows.cli import main
@@ -44,7 +44,7 @@ def test_long_names_are_names_of_scenes_and_of_files(tmp_path):
     ledger = Ledger(tmp_path / "work", "夜")
     for name in names:
         check_name(name, "batch")
-        ledger.write(name, Progress("failed", "frames", "no"))
+        ledger.write(name, SceneState("failed", "frames", "no"))
         assert ledger.progress(name).state == "failed"
 
 
@@ -78,7 +78,7 @@ def test_names_with_brackets_are_printed_as_they_are(dnerf_capture, tmp_path, ca
     assert main(["batch", str(dnerf_capture.root), "--workspace", str(work), "--emit", "slurm", "--device", "cpu"]) == 0
     assert f"submit with: {work}" in "".join(capsys.readouterr().out.splitlines())
     ledger = Ledger(work, "batch")
-    ledger.write(dnerf_capture.root.name, Progress("failed", "frames", r"a\[/b]: cannot be read [/c]"))
+    ledger.write(dnerf_capture.root.name, SceneState("failed", "frames", r"a\[/b]: cannot be read [/c]"))
     assert main(["status", "--workspace", str(work)]) == 0
     assert r"a\[/b]: cannot be read [/c]" in " ".join(capsys.readouterr().out.split())
 

@@ -8,7 +8,7 @@ import pytest
 from e4dgs.pipeline import Store
 from e4dgs.stages.shared.model import read_model
 from e4dgs.workflows import cli
-from e4dgs.workflows.batch.ledger import Ledger, Progress
+from e4dgs.workflows.batch.ledger import Ledger, SceneState
 from e4dgs.workflows.batch.listing import Entry
 
 OLDER = Path(__file__).resolve().parents[1] / "older" / "rig-1babdcf.tar.xz"
@@ -61,7 +61,7 @@ def test_an_old_workspace_is_read_and_its_results_are_made_again(old, monkeypatc
 def test_the_files_of_a_batch_of_a_later_version_are_read_as_far_as_they_are_known(tmp_path):
     entry = Entry("scene", "/captures/scene", (("coarse.iterations", "5"),), group="scene")
     ledger = Ledger.create(tmp_path, "batch", [entry])
-    ledger.write("scene", Progress("done", "evaluate", "", 12.0, 1))
+    ledger.write("scene", SceneState("done", "evaluate", "", 12.0, 1))
     for file in (ledger.folder / "batch.json", ledger.folder / "states" / "scene.json"):
         content = json.loads(file.read_text())
         for part in (content, *content.get("scenes", ())):

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from e4dgs.workflows.batch.ledger import Ledger, Progress
+from e4dgs.workflows.batch.ledger import Ledger, SceneState
 from e4dgs.workflows.batch.listing import Entry
 from e4dgs.workflows.batch.summary import write_summary
 
@@ -40,8 +40,8 @@ def pages(finished_run) -> dict[str, Path]:
     report = next(workspace.glob("scenes/*/report.html"))
     entries = [Entry(report.parent.name, "/captures/tiny"), Entry("a-scene-with-a-rather-long-name", "/captures/none")]
     ledger = Ledger.create(workspace, "tiny", entries, COMMAND)
-    ledger.write(entries[0].name, Progress("done", seconds=3.0))
-    ledger.write(entries[1].name, Progress("failed", "frames", "/captures/none: there is no such file or folder; look at the path " * 3))
+    ledger.write(entries[0].name, SceneState("done", seconds=3.0))
+    ledger.write(entries[1].name, SceneState("failed", "frames", "/captures/none: there is no such file or folder; look at the path " * 3))
     return {"report": report, "batch": write_summary(ledger)}
 
 

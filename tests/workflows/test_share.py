@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from e4dgs.pipeline import Resources
-from e4dgs.workflows.batch.ledger import Ledger, Progress
+from e4dgs.workflows.batch.ledger import Ledger, SceneState
 from e4dgs.workflows.batch.listing import Entry
 from e4dgs.workflows.batch.local import Local
 from e4dgs.workflows.batch.process import run_process
@@ -207,7 +207,7 @@ def test_a_scene_that_meets_an_error_nobody_expects_is_tried_again_and_then_says
         if left.get(scene, 0):
             left[scene] -= 1
             raise OSError(12, "Cannot allocate memory")
-        ledger.write(scene, Progress("done" if part == PARTS[-1] else "waiting"))
+        ledger.write(scene, SceneState("done" if part == PARTS[-1] else "waiting"))
         return True
 
     monkeypatch.setattr("e4dgs.workflows.batch.local.run_part", run_part)

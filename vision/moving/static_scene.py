@@ -38,7 +38,7 @@ Picture = Callable[[int], np.ndarray]
 
 
 @dataclass(frozen=True)
-class StaticScene:
+class Verdict:
     """static: nothing moves, on positive evidence. largest_moving_share: the largest share of a picture (or of its features) found to move.
 
     reason: one sentence for people. evidence: the numbers behind it, plain JSON values.
@@ -58,7 +58,7 @@ def static_scene(
     K: np.ndarray | None = None,
     cam_from_world: np.ndarray | None = None,
     untimed: bool = False,
-) -> StaticScene:
+) -> Verdict:
     """Decide for the frames of a capture; picture(i) gives uint8 [H, W, 3] of frame i, from any thread.
 
     camera [F] int and time [F] as in the `frames` artifact without `--static`. fixed_cameras: several cameras that do not move.
@@ -73,7 +73,7 @@ def static_scene(
     """
     camera, time = np.asarray(camera), np.asarray(time)
     if len(camera) < 2:
-        return StaticScene(False, 0.0, "a single picture does not show what moves", {"pictures": len(camera)})
+        return Verdict(False, 0.0, "a single picture does not show what moves", {"pictures": len(camera)})
     order = sorted(range(len(camera)), key=lambda i: (float(time[i]), int(camera[i]), i))
     by_camera = list(camera_sequences(camera, time).values())
     if fixed_cameras:
@@ -81,10 +81,10 @@ def static_scene(
     return _moving(picture, order, by_camera, K, cam_from_world, untimed)
 
 
-def _fixed(picture: Picture, cameras: Sequence[Sequence[int]]) -> StaticScene:
+def _fixed(picture: Picture, cameras: Sequence[Sequence[int]]) -> Verdict:
     """Decides for fixed cameras, by the share of each camera's pixels that ever change."""
     if not cameras:
-        return StaticScene(False, 0.0, "no camera saw two times", {})
+        return Verdict(False, 0.0, "no camera saw two times", {})
     chosen = [cameras[k] for k in sample(range(len(cameras)), CAMERAS)]
 
     def changed(mine: Sequence[int]) -> tuple[float, float, int]:
@@ -99,10 +99,10 @@ def _fixed(picture: Picture, cameras: Sequence[Sequence[int]]) -> StaticScene:
     share, texture = max(r[0] for r in results), min(r[1] for r in results)
     numbers: dict[str, float | int | str] = {"cameras": len(results), "pictures": sum(r[2] for r in results), "changed": round(share, 6)}
     if share > CHANGED:
-        return StaticScene(False, share, f"up to {100 * share:.2g} % of a fixed camera's pixels change", numbers)
+        return Verdict(False, share, f"up to {100 * share:.2g} % of a fixed camera's pixels change", numbers)
     if texture < PLAIN:
-        return StaticScene(False, share, "a camera's pictures are plain, so that motion could not show", numbers)
-    return StaticScene(True, share, f"no pixel of {len(results)} fixed cameras changes over {results[0][2]} times", numbers)
+        return Verdict(False, share, "a camera's pictures are plain, so that motion could not show", numbers)
+    return Verdict(True, share, f"no pixel of {len(results)} fixed cameras changes over {results[0][2]} times", numbers)
 
 
 def _moving(
@@ -112,11 +112,11 @@ def _moving(
     K: np.ndarray | None,
     poses: np.ndarray | None,
     untimed: bool,
-) -> StaticScene:
+) -> Verdict:
     share, flows = _dense(picture, max(by_camera, key=len), untimed)
     numbers: dict[str, float | int | str] = {"flow_frames": flows, "flow_share": round(share, 6)}
     if share > SHARE:
-        return StaticScene(False, share, f"flow shows {100 * share:.2g} % of a picture moving against the camera's motion", numbers)
+        return Verdict(False, share, f"flow shows {100 * share:.2g} % of a picture moving against the camera's motion", numbers)
     links = _sparse(picture, order, K, poses, untimed)
     supporting, moving = sum(p.supporting for p in links), sum(p.moving for p in links)
     unlinked = sum(p.supporting < LINKED for p in links)
@@ -124,11 +124,11 @@ def _moving(
     numbers["displacement"] = round(float(np.median([p.displacement for p in links])), 1) if links else 0.0
     share = max(share, moving / max(1, moving + supporting))
     if moving:
-        return StaticScene(False, share, f"{moving} distinctive features move together against the camera's motion", numbers)
+        return Verdict(False, share, f"{moving} distinctive features move together against the camera's motion", numbers)
     if unlinked or not links:
-        return StaticScene(False, share, f"{unlinked} of {len(links)} sampled pictures show too little in common to tell", numbers)
+        return Verdict(False, share, f"{unlinked} of {len(links)} sampled pictures show too little in common to tell", numbers)
     words = f"all {supporting} features of {len(links)} pairs of pictures obey the camera's motion"
-    return StaticScene(True, share, words + (f", and so does the flow of {flows} frames" if flows else ""), numbers)
+    return Verdict(True, share, words + (f", and so does the flow of {flows} frames" if flows else ""), numbers)
 
 
 def _sparse(picture: Picture, order: Sequence[int], K: np.ndarray | None, poses: np.ndarray | None, untimed: bool) -> list[PairEvidence]:

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ...pipeline import duration, say
-from .ledger import Ledger, Progress
+from .ledger import Ledger, SceneState
 
 EVERY = 1.0  # s between two updates
 TAIL = 2000  # bytes at the end of a log that are read for a stage's progress
@@ -42,9 +42,9 @@ class States:
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
         self._names = [entry.name for entry in ledger.entries()]
-        self._done: dict[str, Progress] = {}
+        self._done: dict[str, SceneState] = {}
 
-    def now(self) -> list[tuple[str, Progress]]:
+    def now(self) -> list[tuple[str, SceneState]]:
         """States of all scenes, in the order of the batch."""
         found = []
         for name in self._names:
@@ -61,7 +61,7 @@ class Pace:
     def __init__(self, states: States) -> None:
         self._began, self._before = time.monotonic(), self._ended(states.now())
 
-    def left(self, found: Sequence[tuple[str, Progress]]) -> str:
+    def left(self, found: Sequence[tuple[str, SceneState]]) -> str:
         """The time left, in words; "" until a scene has ended."""
         ended = self._ended(found)
         if ended == self._before or ended == len(found):
@@ -70,11 +70,11 @@ class Pace:
         return f"; about {duration(seconds)} left"
 
     @staticmethod
-    def _ended(found: Sequence[tuple[str, Progress]]) -> int:
+    def _ended(found: Sequence[tuple[str, SceneState]]) -> int:
         return sum(progress.state in ("done", "failed") for _, progress in found)
 
 
-def counts(ledger: Ledger, found: Sequence[tuple[str, Progress]], pace: Pace | None = None) -> str:
+def counts(ledger: Ledger, found: Sequence[tuple[str, SceneState]], pace: Pace | None = None) -> str:
     """The batch in one line."""
     parts = [f"{n} {state}" for state in ORDER if (n := sum(p.state == state for _, p in found))]
     return f"{ledger.name}: {', '.join(parts)}" + (pace.left(found) if pace is not None else "")
@@ -128,6 +128,6 @@ def watch(ledger: Ledger, console: Console, ended: Callable[[], bool]) -> None:
         time.sleep(EVERY)
 
 
-def _time(progress: Progress) -> str:
+def _time(progress: SceneState) -> str:
     spent = progress.seconds + (time.time() - progress.changed if progress.state == "running" else 0.0)
     return duration(spent) if spent else ""

@@ -19,7 +19,7 @@ from ..results import words_of
 from ..scenes import check_name
 from ..session import DEFAULT_WORKSPACE, Options, assigned, other_stores
 from .board import table, watch
-from .ledger import Ledger, Progress, batches
+from .ledger import Ledger, SceneState, batches
 from .listing import Entry, entries_of
 from .local import Local, usual_jobs
 from .share import usual_memory_gb
@@ -90,7 +90,7 @@ def batch(
             ledger = Ledger.create(workspace, name, entries, shlex.join(words))
         for entry in entries:
             if ledger.progress(entry.name).state == "done" and not is_current(ledger, entry):
-                ledger.write(entry.name, Progress())
+                ledger.write(entry.name, SceneState())
         if emit is not None:
             _write_scripts(ledger, cluster, device, stage_timeout)
             return

@@ -21,7 +21,7 @@ WRITTEN = 5.0  # s within which a batch that has begun has written its list
 
 
 @dataclass
-class Progress:
+class SceneState:
     """The state of a scene. stage: the one that runs or has failed. seconds: spent on its stages so far, in this batch. attempts: tries so
     far, the first one and one for each failed stage that was tried again.
 
@@ -53,7 +53,7 @@ class Ledger:
         write_json(ledger.folder / "batch.json", content)
         for entry in entries:
             if before.get(entry.name) != entry or ledger.progress(entry.name).state != "done":
-                ledger.write(entry.name, Progress())
+                ledger.write(entry.name, SceneState())
         return ledger
 
     @contextmanager
@@ -103,14 +103,14 @@ class Ledger:
         content = read_json(self.folder / "batch.json")
         return str(content.get("command", "")) if isinstance(content, dict) else ""
 
-    def progress(self, scene: str) -> Progress:
+    def progress(self, scene: str) -> SceneState:
         """The state as last written; see also `shown`. Fields of later versions are left out, and an unknown state becomes "waiting"."""
         content = read_json(self._state(scene))
         if not isinstance(content, dict) or content.get("state") not in get_args(State):
-            return Progress()
-        return Progress(**known(Progress, content))
+            return SceneState()
+        return SceneState(**known(SceneState, content))
 
-    def shown(self, scene: str) -> Progress:
+    def shown(self, scene: str) -> SceneState:
         """As `progress`, for people: "lost" if the state is "running" but the process that ran it is gone."""
         found = self.progress(scene)
         if found.state == "running" and not is_locked(self._lock(scene)):
@@ -133,7 +133,7 @@ class Ledger:
             time.sleep(LOOK)
         yield False
 
-    def write(self, scene: str, progress: Progress) -> None:
+    def write(self, scene: str, progress: SceneState) -> None:
         progress.changed = time.time()
         write_json(self._state(scene), asdict(progress))
 

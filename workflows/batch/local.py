@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 from ...pipeline import Resources
-from .ledger import Ledger, Progress
+from .ledger import Ledger, SceneState
 from .listing import Entry
 from .share import Lease, Share, cores
 from .work import PARTS, SERVERS, StageFailed, run_part
@@ -72,7 +72,7 @@ class Local:
     def _failed(self, scene: str, error: Exception) -> None:
         before = self.ledger.progress(scene)
         message = f"{type(error).__name__}: {error}"
-        self.ledger.write(scene, Progress("failed", before.stage, message, before.seconds, before.attempts))
+        self.ledger.write(scene, SceneState("failed", before.stage, message, before.seconds, before.attempts))
 
     def _part(self, entry: Entry, part: str, alone: bool) -> bool:
         @contextlib.contextmanager

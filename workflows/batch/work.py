@@ -15,7 +15,7 @@ from ..results import words_of
 from ..scenes import NameTakenError
 from ..session import open_session
 from .forks import ForkServers
-from .ledger import Ledger, Progress
+from .ledger import Ledger, SceneState
 from .listing import Entry
 from .process import Ended, run_process
 from .share import Lease
@@ -82,7 +82,7 @@ def _run_part(ledger: Ledger, scene: str, part: str, timeout: float | None, stop
         stages = _stages(job, part)
     except PipelineError as error:
         message = _name_taken(entry, error) if isinstance(error, NameTakenError) else str(error)
-        ledger.write(scene, Progress("failed", "", message, progress.seconds, progress.attempts + _is_a_try(progress)))
+        ledger.write(scene, SceneState("failed", "", message, progress.seconds, progress.attempts + _is_a_try(progress)))
         return False
     progress.attempts += _is_a_try(progress)
     for target in stages:
@@ -127,7 +127,7 @@ def is_current(ledger: Ledger, entry: Entry) -> bool:
     return bool(ledger.metrics(entry.name)) and all(row.state != "run" for row in rows)
 
 
-def _is_a_try(progress: Progress) -> bool:
+def _is_a_try(progress: SceneState) -> bool:
     """Whether resuming from ``progress`` is a new try. A stage that was stopped, or lost with its worker, continues the old try."""
     return progress.attempts == 0 or progress.state == "failed"
 

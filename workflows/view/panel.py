@@ -12,7 +12,7 @@ from .looks import LOOKS, PRIMITIVES
 SECONDS = 5.0  # duration of the capture at speed 1 if the capture does not give one
 
 
-class Choice(NamedTuple):
+class Controls(NamedTuple):
     """The state of all controls at one moment."""
 
     time: float
@@ -50,9 +50,9 @@ class Panel:
             self._photo = gui.add_slider("Photo", 0.0, 1.0, 0.01, 0.0, hint="how much of the picture is the photo, from the left")
             self._frame.on_update(lambda event: go(int(self._frame.value)))
 
-    def choice(self) -> Choice:
+    def choice(self) -> Controls:
         photo, longest = float(self._photo.value), int(self._longest.value)
-        return Choice(float(self._time.value), self._primitives.value, self._look.value, self._outlines.value, photo, longest)
+        return Controls(float(self._time.value), self._primitives.value, self._look.value, self._outlines.value, photo, longest)
 
     @property
     def playing(self) -> bool:

@@ -17,7 +17,7 @@ from ...scene.model import Model
 from ...stages.exports.camera_path import looked_at
 from ...stages.shared.frameset import FrameSet
 from .looks import photo_beside, picture
-from .panel import Choice, Panel
+from .panel import Controls, Panel
 from .quiet import hush, unsaid
 from .source import Found
 
@@ -48,7 +48,7 @@ class View(NamedTuple):
     fov: float
     width: int
     height: int
-    choice: Choice
+    choice: Controls
     model: int
 
 

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from ....pipeline import SettingsError
 from ...machine import orphan
-from ..ledger import Ledger, Progress
+from ..ledger import Ledger, SceneState
 from ..listing import Entry
 from ..work import PARTS, StageFailed
 from ..yaml_files import read_yaml
@@ -91,7 +91,7 @@ class Parsl:
             return
         said = " | ".join(line.strip() for line in str(error).splitlines() if line.strip())
         message = f"no worker of the cluster could run it: {type(error).__name__}: {said}"
-        self.ledger.write(scene, Progress("failed", progress.stage, message, progress.seconds, progress.attempts))
+        self.ledger.write(scene, SceneState("failed", progress.stage, message, progress.seconds, progress.attempts))
 
 
 def _part_after(before: bool, *args: Any) -> bool:
