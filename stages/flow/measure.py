@@ -12,11 +12,12 @@ import cv2
 import numpy as np
 
 from ...pipeline import Context, thread_count
+from ...pipeline.choice.evenly import evenly
 from ...scene.edges import edge_weights
 from ...vision.edges import Seen, seen_by, stable_edges
 from ...vision.flow.method import FlowMethod
 from ...vision.flow.two_way import consistency
-from ...vision.moving.motion_mask import MotionMask, sample
+from ...vision.moving.motion_mask import SAMPLES, MotionMask
 from ..shared.frameset import FrameSet
 from .artifact_writer import FlowArrays, FlowWriter
 from .moving_masks import MovingMasks
@@ -166,7 +167,7 @@ def measure(
     ):
         masks = _Masks(ctx, frames, jobs, pool, bar.advance)
         for camera, mine in cameras.items():
-            changes = MotionMask(list(pool.map(frames.composited, sample(mine)))) if fixed and len(mine) > 1 else None
+            changes = MotionMask(list(pool.map(frames.composited, evenly(mine, SAMPLES)))) if fixed and len(mine) > 1 else None
             gathered = MovingMasks.of_camera(frames, mine, fixed) if moving is not None else None
             one = _Camera(camera, mine, changes, gathered, deque())
             masks.came.update(_submit(one, frames, jobs, pool, threads, bar.advance))

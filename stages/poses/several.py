@@ -11,9 +11,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
 from ...pipeline.files import written_beside
 from ...vision.images.pictures import size_within
-from ...vision.moving.motion_mask import motion_mask, sample
+from ...vision.moving.motion_mask import SAMPLES, motion_mask
 from ...vision.sequences import camera_sequences
 from ...vision.sfm.fixed_cameras import is_fixed
 from ...vision.sfm.looks import Looks, choose_looks, expand
@@ -93,7 +94,7 @@ def _write_masks(frames: FrameSet, sequences: Mapping[int, Sequence[int]], looks
         def load(i: int) -> np.ndarray:
             return np.asarray(cv2.resize(frames.original(i), (width, height), interpolation=cv2.INTER_AREA))
 
-        masks[looks.image_of_frame[mine[0]]] = motion_mask(load, sorted({*sample(mine), *seen}), GROW) > 0
+        masks[looks.image_of_frame[mine[0]]] = motion_mask(load, sorted({*evenly(mine, SAMPLES), *seen}), GROW) > 0
     with written_beside(file) as part:
         np.savez_compressed(part, allow_pickle=False, masks=masks)
 

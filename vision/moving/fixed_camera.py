@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
 from .colours import colour_odds, odds_at
 from .evidence import DECADE, Evidence
-from .motion_mask import SHIFT_STEP, MotionMask, sample, smoothed
+from .motion_mask import SAMPLES, SHIFT_STEP, MotionMask, smoothed
 from .moving_masks import moving_mask
 
 SIZE = 640  # px, about, of the longest side at which evidence is gathered; larger pictures are averaged down, which also reduces noise
@@ -96,5 +97,5 @@ class _Change(MotionMask):
 
 def fixed_camera_masks(frames: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Masks uint8 [H, W] of all frames, uint8 [H, W, 3], of one fixed camera."""
-    background = FixedCameraMasks([frames[i] for i in sample(range(len(frames)))])
+    background = FixedCameraMasks(evenly(frames, SAMPLES))
     return [background.moving(frame) for frame in frames]

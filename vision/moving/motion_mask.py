@@ -95,12 +95,7 @@ def motion_mask(load: Callable[[int], np.ndarray], frames: Sequence[int], grow: 
 
     At most `SAMPLES` frames are in memory at once.
     """
-    collector = MotionMask([load(i) for i in sample(frames)])
+    collector = MotionMask([load(i) for i in evenly(frames, SAMPLES)])
     for i in frames:
         collector.add(load(i))
     return collector.mask(grow)
-
-
-def sample(frames: Sequence[int], count: int = SAMPLES) -> list[int]:
-    """Up to ``count`` of ``frames``, evenly spaced, including both ends."""
-    return list(evenly(frames, count))

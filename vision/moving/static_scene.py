@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...pipeline.choice.evenly import evenly
 from ..flow.method import MINIMUM_SIDE
 from ..flow.two_way import consistency, dis_flow
 from ..images.pictures import shrunk
 from ..sequences import camera_sequences
-from .motion_mask import MotionMask, sample
+from .motion_mask import MotionMask
 from .moving_masks import frame_evidence, moving_mask
 from .residual import Neighbour
 from .static_matches import Features, PairEvidence, compare, features
@@ -85,10 +86,10 @@ def _fixed(picture: Picture, cameras: Sequence[Sequence[int]]) -> Verdict:
     """Decides for fixed cameras, by the share of each camera's pixels that ever change."""
     if not cameras:
         return Verdict(False, 0.0, "no camera saw two times", {})
-    chosen = [cameras[k] for k in sample(range(len(cameras)), CAMERAS)]
+    chosen = evenly(cameras, CAMERAS)
 
     def changed(mine: Sequence[int]) -> tuple[float, float, int]:
-        frames = [shrunk(picture(i), DENSE_SIZE) for i in sample(mine, TIMES)]
+        frames = [shrunk(picture(i), DENSE_SIZE) for i in evenly(mine, TIMES)]
         mask = MotionMask(frames)
         for frame in frames:
             mask.add(frame)
