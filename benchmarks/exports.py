@@ -33,7 +33,7 @@ from e4dgs.stages.exports.bake import bake, loss_of
 from e4dgs.stages.exports.capture_cameras import camera_of, distinct_views
 from e4dgs.stages.exports.mesh import fuse, hulls, size_of
 from e4dgs.stages.exports.splats import KINDS, encoder
-from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.posed_frameset import PosedFrameSet
 from e4dgs.workflows.bench.machine import machine
 from e4dgs.workflows.load import load
 from export_errors import errors, psnr
@@ -49,7 +49,7 @@ class Scene:
 
     name: str
     model: Model
-    frames: FrameSet
+    frames: PosedFrameSet
     cameras: list[Camera]
 
 
@@ -63,7 +63,7 @@ def open_scene(workspace: Path, name: str | None, size: int) -> Scene:
     model = load(scenes[0], device="cpu")
     records, store = Records(scenes[0] / "records"), Store(workspace / "store")
     found = {stage: store.open(stage, record["key"]) for stage in ("frames", "poses") if (record := records.read(stage)) is not None}
-    frames = FrameSet(found["frames"], Path(json.loads((scenes[0] / "capture.json").read_text())["path"]), found.get("poses"))
+    frames = PosedFrameSet(found["frames"], Path(json.loads((scenes[0] / "capture.json").read_text())["path"]), found.get("poses"))
     some = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), LOOKS)
     return Scene(scenes[0].name, model, frames, [smaller(camera_of(model, frames, int(i)), size) for i in some])
 

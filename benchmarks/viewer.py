@@ -32,7 +32,7 @@ import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.model import Model
 from e4dgs.stages.exports.camera_path import CameraPath, named_path
-from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.posed_frameset import PosedFrameSet
 from e4dgs.workflows.bench.machine import machine
 from e4dgs.workflows.results import words_of
 from e4dgs.workflows.session import Choice, Options, open_session
@@ -65,7 +65,7 @@ def main() -> int:
     found, artifacts = source.newest(), source.frames()
     if found is None or artifacts is None:
         raise source.missing()
-    frames = FrameSet(artifacts[0], session.job.capture.root, artifacts[1])
+    frames = PosedFrameSet(artifacts[0], session.job.capture.root, artifacts[1])
     path = named_path("turntable", frames, found.model, arguments.pictures)
     result = measured(found.model, frames, path, arguments.size)
     result["render"] = rendered(options, arguments.frames, arguments.size)
@@ -82,7 +82,7 @@ def main() -> int:
     return 0
 
 
-def measured(model: Model, frames: FrameSet, path: CameraPath, size: int) -> dict[str, Any]:
+def measured(model: Model, frames: PosedFrameSet, path: CameraPath, size: int) -> dict[str, Any]:
     """Rows of pictures a second: "rows" {name: {per_second, per_second_cpu, width}}."""
     assert frames.K is not None
     focal = float(frames.K[frames.train[0], 0, 0]) / frames.width * size

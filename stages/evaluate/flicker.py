@@ -11,7 +11,7 @@ import numpy as np
 
 from ...pipeline import Progress
 from ...scene.metrics.flicker import Flicker, steady_pixels
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 from .judge import Judge
 from .spread import flicker_cameras, spread, stretches
 
@@ -19,7 +19,7 @@ FEWEST = 3  # least number of times of a camera
 
 
 def measure_flicker(
-    judge: Judge, frames: FrameSet, most: int | None = None, progress: Callable[[int, str], Progress] | None = None
+    judge: Judge, frames: PosedFrameSet, most: int | None = None, progress: Callable[[int, str], Progress] | None = None
 ) -> dict[str, Any] | None:
     """`static`, `edges` and `warped` in 8-bit levels and `flow` in px, as means over `pairs` pairs of times of `cameras` cameras.
     `per_pair` has the four values of each pair with its `camera` and both `times`. None for captures without a fixed camera that saw

@@ -21,7 +21,7 @@ from ...scene.model import Model
 from ...scene.motion.times import corrected
 from ...vision.images.pictures import composite
 from ..exports.capture_cameras import camera_of
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 
 OTHER = {"white": "black", "black": "white"}
 FPS_RENDERS, FPS_SECONDS = 20, 10.0
@@ -32,7 +32,7 @@ MOVING_DIFFERENCE = 0.1  # in [0, 1], difference from the median in some channel
 class Judge:
     """Renders views of ``frames`` and measures them. fixed: the cameras are fixed, so moving pixels are also measured separately."""
 
-    def __init__(self, model: Model, frames: FrameSet, lpips: Lpips | None, fixed: bool) -> None:
+    def __init__(self, model: Model, frames: PosedFrameSet, lpips: Lpips | None, fixed: bool) -> None:
         self.model, self.frames, self.lpips, self.fixed = model, frames, lpips, fixed
         self._medians: dict[int, np.ndarray] = {}  # by camera, of a few of its pictures
 

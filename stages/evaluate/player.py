@@ -6,14 +6,14 @@ import numpy as np
 
 from ...pipeline import ArtifactWriter
 from ..exports.web import light_web
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 from .artifact import write_player
 from .judge import Judge
 
 MOST = 8_000_000  # bytes; a report is a page that people send to one another
 
 
-def write_scene(out: ArtifactWriter, judge: Judge, frames: FrameSet) -> str | None:
+def write_scene(out: ArtifactWriter, judge: Judge, frames: PosedFrameSet) -> str | None:
     """Writes the scene's file for the web player, with fewer SH bands if it is larger than `MOST`. Returns the reason if it is left out."""
     if not len(frames.train):
         return "no training frame has a pose, so there is no place to look from"

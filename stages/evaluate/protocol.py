@@ -12,11 +12,11 @@ from ...pipeline import StageError
 from ...scene.metrics.lpips import MINIMUM_SIZE, Lpips
 from ...scene.metrics.published_lpips import Unavailable, published_lpips
 from ..facts import STANDS_STILL
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 from .settings import EvaluateSettings
 
 
-def load_lpips(settings: EvaluateSettings, frames: FrameSet) -> tuple[Lpips | None, dict[str, str]]:
+def load_lpips(settings: EvaluateSettings, frames: PosedFrameSet) -> tuple[Lpips | None, dict[str, str]]:
     """The network with the weights of a file, or else with the published ones; or None and the reason as `lpips_reason`. Raises StageError
     if the weights file is invalid."""
     if min(frames.width, frames.height) < MINIMUM_SIZE:
@@ -33,7 +33,11 @@ def load_lpips(settings: EvaluateSettings, frames: FrameSet) -> tuple[Lpips | No
 
 
 def protocol(
-    frames: FrameSet, views: Mapping[str, Sequence[int]], settings: EvaluateSettings, lpips_facts: Mapping[str, str], notes: Sequence[str]
+    frames: PosedFrameSet,
+    views: Mapping[str, Sequence[int]],
+    settings: EvaluateSettings,
+    lpips_facts: Mapping[str, str],
+    notes: Sequence[str],
 ) -> dict[str, Any]:
     """Everything that must be known to compare the numbers of this evaluation with others."""
     measured = not lpips_facts

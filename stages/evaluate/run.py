@@ -11,8 +11,8 @@ from ...pipeline import Context, StageError, thread_count
 from ..coarse.artifact import steps_of
 from ..flow.artifact import flow_of
 from ..shared.clocks import clock_lines
-from ..shared.frameset import FrameSet
 from ..shared.model import read_model
+from ..shared.posed_frameset import PosedFrameSet
 from .artifact import write_metrics
 from .flicker import measure_flicker
 from .judge import Judge
@@ -36,7 +36,7 @@ def evaluate(ctx: Context) -> None:
     artifact = ctx.inputs["fine"] if ctx.inputs["fine"] is not None else ctx.inputs["coarse"]
     if artifact is None:
         raise StageError("there is no trained model: both coarse and fine were skipped; run the stage coarse first")
-    frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs["poses"])  # type: ignore[arg-type]
+    frames = PosedFrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs["poses"])  # type: ignore[arg-type]
     model = read_model(artifact).to(ctx.device)
     most = most_measured(ctx.settings.measured, steps_of(ctx.inputs["coarse"]))
     views, notes = choose_views(frames, ctx.settings.splits, most)

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...pipeline import StageError
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 from .judge import Judge
 from .spread import spread
 
 TRAIN_VIEWS = 32  # training views that are measured if nothing is held out
 
 
-def choose_views(frames: FrameSet, splits: Sequence[str], most: int | None = None) -> tuple[dict[str, list[int]], list[str]]:
+def choose_views(frames: PosedFrameSet, splits: Sequence[str], most: int | None = None) -> tuple[dict[str, list[int]], list[str]]:
     """Frames with a pose for each of ``splits``, at most ``most`` of each, in the order train, val, test; and sentences on what is missing.
 
     If no split has any, training views are used instead. Raises StageError if no training frame has a pose either.
@@ -47,7 +47,9 @@ def choose_views(frames: FrameSet, splits: Sequence[str], most: int | None = Non
     return views, notes
 
 
-def time_strip(judge: Judge, frames: FrameSet, indices: Sequence[int]) -> tuple[str, list[tuple[float, np.ndarray, np.ndarray | None]]]:
+def time_strip(
+    judge: Judge, frames: PosedFrameSet, indices: Sequence[int]
+) -> tuple[str, list[tuple[float, np.ndarray, np.ndarray | None]]]:
     """One camera over time: the name of its first view, and up to eight (time, render float32 [H, W, 3], ground truth uint8 or None).
 
     If the first view's camera is fixed and saw at least three of the views, these are shown. Otherwise the model is rendered from the
@@ -55,7 +57,6 @@ def time_strip(judge: Judge, frames: FrameSet, indices: Sequence[int]) -> tuple[
     """
     first = indices[0]
     mine = sorted((i for i in indices if frames.camera[i] == frames.camera[first]), key=lambda i: float(frames.time[i]))
-    assert frames.cam_from_world is not None
     fixed = all(np.allclose(frames.cam_from_world[i], frames.cam_from_world[first], atol=1e-6) for i in mine)
     if fixed and len(mine) >= 3:
         return frames.names[first], [(float(frames.time[i]), judge.render(i)[0], frames.composited(i)) for i in spread(mine, 8)]

@@ -14,7 +14,7 @@ from ...rasterizer import Frame, Gaussians, rasterize
 from ...scene.convex_gaussians import GaussianFit
 from ...scene.formats.ply import joined
 from ...scene.model import Model
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 from .capture_cameras import camera_of, distinct_views
 from .plain import PlainLook, compensated
 
@@ -72,7 +72,7 @@ def nothing_visible(what: str, moments: Sequence[float]) -> StageError:
     )
 
 
-def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:
+def bake(model: Model, frames: PosedFrameSet, antialiased: bool = False) -> Baked:
     """Replaces each convex by a Gaussian, with mean, covariance and opacity fitted so that renders from training cameras at all times are
     closest to those of the full ``model``.
 
@@ -94,7 +94,7 @@ def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:
     return min((best, replace(best, fit=_fitted(best, frames))), key=lambda baked: _error(baked, frames, few))
 
 
-def _fitted(baked: Baked, frames: FrameSet) -> GaussianFit:
+def _fitted(baked: Baked, frames: PosedFrameSet) -> GaussianFit:
     """The fit of ``baked`` after gradient descent on the squared difference of colour and alpha. The full model provides the ground truth
     from any camera at any time."""
     model, start = baked.model, baked.fit
@@ -116,7 +116,7 @@ def _fitted(baked: Baked, frames: FrameSet) -> GaussianFit:
     return replace(start, **{name: value.detach() for name, value in learned.items()})
 
 
-def loss_of(baked: Baked, frames: FrameSet, *moments: float) -> Loss:
+def loss_of(baked: Baked, frames: PosedFrameSet, *moments: float) -> Loss:
     """How far renders of ``baked`` are from those of its model, over held-out cameras if there are enough of them, at `MOMENTS` of the
     ``moments`` in [0, 1], evenly spread. Their mean squared error is the mean one; how well convexes and motion agree differs by time."""
     chosen = distinct_views(frames, np.concatenate([frames.test, frames.val]), LOOKS)
@@ -129,20 +129,20 @@ def loss_of(baked: Baked, frames: FrameSet, *moments: float) -> Loss:
     return Loss(mean, len(chosen), len(baked.model.convexes), baked.antialiased, len(looked), worst, when)
 
 
-def _error(baked: Baked, frames: FrameSet, chosen: np.ndarray) -> float:
+def _error(baked: Baked, frames: PosedFrameSet, chosen: np.ndarray) -> float:
     """Mean of `_squared_error` over the frames ``chosen``, at their own times."""
     times = [float(frames.time[i]) for i in chosen]
     return sum(_squared_error(baked, frames, int(i), t) for i, t in zip(chosen, times)) / len(chosen)
 
 
-def _squared_error(baked: Baked, frames: FrameSet, i: int, t: float) -> float:
+def _squared_error(baked: Baked, frames: PosedFrameSet, i: int, t: float) -> float:
     """Mean squared difference in [0, 1] between renders of ``baked`` and of its model from the camera of frame ``i`` at time ``t``."""
     with torch.no_grad():
         colors = [_render(baked, shown, frames, i, t).color.clamp(0, 1) for shown in (baked.at(t), None)]
     return float((colors[0] - colors[1]).square().mean())
 
 
-def _render(baked: Baked, gaussians: Gaussians | None, frames: FrameSet, i: int, t: float) -> Frame:
+def _render(baked: Baked, gaussians: Gaussians | None, frames: PosedFrameSet, i: int, t: float) -> Frame:
     """Renders ``gaussians`` as the programs do that ``baked`` is for, or if None the full model at time ``t``, from the camera of frame
     ``i`` on the model's background."""
     model = baked.model

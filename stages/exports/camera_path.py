@@ -11,7 +11,7 @@ from ...pipeline.choice.evenly import evenly
 
 if TYPE_CHECKING:
     from ...scene.model import Model
-    from ..shared.frameset import FrameSet
+    from ..shared.posed_frameset import PosedFrameSet
 
 NAMES = ("turntable", "spiral", "capture")
 USUAL_SECONDS = 4.0  # of a film where nothing says how long it should take
@@ -28,7 +28,7 @@ class CameraPath:
     time: np.ndarray
 
 
-def named_path(name: str, frames: FrameSet, model: Model, count: int, seconds: float | None = None) -> CameraPath:
+def named_path(name: str, frames: PosedFrameSet, model: Model, count: int, seconds: float | None = None) -> CameraPath:
     """The path ``name`` (see `NAMES`), during which the capture plays once.
 
     "capture" follows the camera that moves, through the times that it saw. If the pictures are those of separate cameras (a rig, or a new
@@ -37,7 +37,6 @@ def named_path(name: str, frames: FrameSet, model: Model, count: int, seconds: f
     """
     from ...scene.camera_paths import spiral, turntable
 
-    assert frames.cam_from_world is not None and frames.K is not None
     train = frames.train
     if name == "capture":
         return _along_capture(frames, model, count, USUAL_SECONDS if seconds is None else seconds)
@@ -46,7 +45,7 @@ def named_path(name: str, frames: FrameSet, model: Model, count: int, seconds: f
     return CameraPath(way, np.repeat(frames.K[train[:1]], count, axis=0), np.linspace(0, 1, count))
 
 
-def seconds_of(name: str, frames: FrameSet, moves: bool) -> float | None:
+def seconds_of(name: str, frames: PosedFrameSet, moves: bool) -> float | None:
     """Seconds that the path ``name`` takes in real time: those of the capture, or of the camera that is followed. moves: whether time runs.
     None where nothing says how long it should take."""
     own = followed(frames) if name == "capture" else None
@@ -57,12 +56,11 @@ def seconds_of(name: str, frames: FrameSet, moves: bool) -> float | None:
     return span if span > 0 else None
 
 
-def followed(frames: FrameSet) -> np.ndarray | None:
+def followed(frames: PosedFrameSet) -> np.ndarray | None:
     """The training frames [n], in order of time, of the camera that moves, that with the most frames if several do. None if no camera
     moves: if all stand still, or every picture was taken from quite another place."""
     from .camera_tours import separate
 
-    assert frames.cam_from_world is not None
     train = frames.train
     cameras, seen = np.unique(frames.camera[train], return_counts=True)
     candidates = [train[frames.camera[train] == cameras[k]] for k in np.argsort(-seen, kind="stable") if seen[k] > 1]
@@ -74,11 +72,10 @@ def followed(frames: FrameSet) -> np.ndarray | None:
     return None
 
 
-def _along_capture(frames: FrameSet, model: Model, count: int, seconds: float) -> CameraPath:
+def _along_capture(frames: PosedFrameSet, model: Model, count: int, seconds: float) -> CameraPath:
     from ...scene.camera_paths import along, upward
     from .camera_tours import tour, travelled
 
-    assert frames.cam_from_world is not None and frames.K is not None
     own = followed(frames)
     if own is not None:
         time = frames.time[own]
@@ -102,11 +99,10 @@ def _along_capture(frames: FrameSet, model: Model, count: int, seconds: float) -
     return CameraPath(travelled(poses[stops], at, centre, upward(frames.held(cameras))), _between(frames.K[cameras[stops]], at), time)
 
 
-def _centre(frames: FrameSet, model: Model, own: np.ndarray) -> np.ndarray:
+def _centre(frames: PosedFrameSet, model: Model, own: np.ndarray) -> np.ndarray:
     """`looked_at`, if a gap in the way of the frames ``own`` makes it needed; it takes some renders."""
     from .camera_tours import JUMP, turns
 
-    assert frames.cam_from_world is not None
     return looked_at(frames, model) if (turns(frames.cam_from_world[own]) > JUMP).any() else np.zeros(3)
 
 
@@ -116,14 +112,13 @@ def _between(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(at, known, column) for column in values.reshape(len(values), 9).T], 1).reshape(-1, 3, 3)
 
 
-def looked_at(frames: FrameSet, model: Model) -> np.ndarray:
+def looked_at(frames: PosedFrameSet, model: Model) -> np.ndarray:
     """[3]: the median of the points that some training cameras see in the middle of their pictures, with depth rendered from the model. If
     they see none, the mean of its Gaussians, or a point ahead of the cameras if it has none."""
     import torch
 
     from ...rasterizer import Camera
 
-    assert frames.cam_from_world is not None and frames.K is not None
     places = []
     for i in evenly(frames.train, LOOKS):
         K, pose = frames.K[i], frames.cam_from_world[i]

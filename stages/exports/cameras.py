@@ -9,20 +9,19 @@ import numpy as np
 
 from ...scene.formats.axes import OPENGL, Turn
 from ...scene.formats.usd.cameras import PosedCamera
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 
 
-def posed(frames: FrameSet) -> np.ndarray:
+def posed(frames: PosedFrameSet) -> np.ndarray:
     """The frames [n] of all splits that have a pose."""
     return np.sort(np.concatenate([frames.train, frames.val, frames.test]))
 
 
-def cameras_json(frames: FrameSet, turn: Turn) -> bytes:
+def cameras_json(frames: PosedFrameSet, turn: Turn) -> bytes:
     """All posed frames in nerfstudio's layout (transforms.json), with their times: poses in the axes of a file that ``turn`` leads to, so
     beside an export that was turned by it, and lenses of the pictures without distortion at the capture's size.
 
     file_from_capture takes points of the capture's own files to these axes; `e4dgs render --path` reads it."""
-    assert frames.cam_from_world is not None and frames.K is not None
     file_from_world = np.eye(4)
     file_from_world[:3, :3] = turn.matrix
     rows: list[dict[str, Any]] = []
@@ -40,9 +39,8 @@ def cameras_json(frames: FrameSet, turn: Turn) -> bytes:
     return f'{head}, "frames": [\n{body}\n]}}\n'.encode()
 
 
-def posed_cameras(frames: FrameSet, near: float) -> list[PosedCamera]:
+def posed_cameras(frames: PosedFrameSet, near: float) -> list[PosedCamera]:
     """Each camera of the capture with its posed frames in order of time. near: depth at which the scene begins, world units."""
-    assert frames.cam_from_world is not None and frames.K is not None
     found, own = [], posed(frames)
     for camera in np.unique(frames.camera[own]):
         mine = own[frames.camera[own] == camera]

@@ -17,7 +17,7 @@ from ...scene.losses.depth_spread import with_depth
 from ...scene.mesh import Mesh
 from ...scene.model import Model
 from ...vision.clouds import load_open3d
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 from .bake import MOMENTS
 from .capture_cameras import camera_of, distinct_views
 
@@ -51,7 +51,7 @@ class Size(NamedTuple):
     resolved: float = float("inf")
 
 
-def look(model: Model, frames: FrameSet, i: int, t: float) -> Look:
+def look(model: Model, frames: PosedFrameSet, i: int, t: float) -> Look:
     """Renders ``model`` at time ``t`` from the camera of frame ``i``. Only solid pixels that show a single surface get a depth."""
     camera = camera_of(model, frames, i)
     with torch.no_grad():
@@ -70,7 +70,7 @@ class NoSurface(StageError):
     """Nothing at a time can be fused."""
 
 
-def size_of(model: Model, frames: FrameSet, *moments: float) -> Size:
+def size_of(model: Model, frames: PosedFrameSet, *moments: float) -> Size:
     """Voxel size that matches the resolution of the cameras, and the largest depth to fuse, over `MOMENTS` of the ``moments``, evenly
     spread, or over the first of the others with anything solid if these have nothing. Raises StageError if nothing is solid at any."""
     depths: list[np.ndarray] = []
@@ -99,7 +99,7 @@ def size_of(model: Model, frames: FrameSet, *moments: float) -> Size:
     return Size(voxel, FAR * middle, voxel)
 
 
-def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable[[int], None] = lambda n: None) -> Mesh:
+def fuse(model: Model, frames: PosedFrameSet, t: float, size: Size, advance: Callable[[int], None] = lambda n: None) -> Mesh:
     """The mesh at time ``t``. ``advance`` is called once for each of the `fused_views`.
 
     Raises NoSurface if nothing is solid, StageError if Open3D is not available or voxels of that size do not fit in memory.
@@ -146,7 +146,7 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
 
 
 def fuse_all(
-    model: Model, frames: FrameSet, moments: Sequence[float], size: Size, advance: Callable[[int], None] = lambda n: None
+    model: Model, frames: PosedFrameSet, moments: Sequence[float], size: Size, advance: Callable[[int], None] = lambda n: None
 ) -> Iterator[Mesh]:
     """The mesh at each of ``moments``, as `fuse` has it. It has no triangles where there is no surface, except if there is one at none of
     them: then NoSurface is raised for the last."""
@@ -162,7 +162,7 @@ def fuse_all(
         yield made
 
 
-def fused_views(frames: FrameSet) -> np.ndarray:
+def fused_views(frames: PosedFrameSet) -> np.ndarray:
     """Frames whose cameras are fused."""
     return distinct_views(frames, frames.train, CAMERAS)
 

@@ -13,7 +13,7 @@ from ...rasterizer.reference.gaussians import DILATION, PIXEL_VARIANCE
 from ...scene.model import Model
 from ...scene.training.control.hidden import footprint
 from ...scene.views import inside_image
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 from .capture_cameras import camera_of, distinct_views
 
 VIEWS = 24  # training views over which the adjustment is averaged
@@ -33,7 +33,7 @@ class PlainLook:
         return cls(torch.ones(count), torch.zeros(count))
 
     @classmethod
-    def of(cls, model: Model, frames: FrameSet) -> PlainLook:
+    def of(cls, model: Model, frames: PosedFrameSet) -> PlainLook:
         """Averages over some training views; unchanged if ``model`` is not antialiased."""
         found = cls.unchanged(len(model.gaussians))
         if not model.antialiased:

@@ -21,7 +21,7 @@ from ...scene.formats.ply import ply_bytes
 from ...scene.formats.sog import sog_bytes
 from ...scene.formats.spz import cut_by_spz, spz_bytes
 from ...scene.model import Model
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 from .bake import Loss, bake, loss_of, nothing_visible
 from .numbered import KINDS, SplatFormat, new_sequence, numbered, write_index
 
@@ -44,7 +44,7 @@ class Exported:
 
 def export_splats(
     model: Model,
-    frames: FrameSet,
+    frames: PosedFrameSet,
     out: Path,
     moments: Sequence[float],
     kind: SplatFormat = "ply",
@@ -93,16 +93,15 @@ def export_splats(
     return Exported(min(rows), max(rows), turn, loss_of(baked, frames, *shown), notes)
 
 
-def origin_of(frames: FrameSet) -> dict[str, list[float]]:
+def origin_of(frames: PosedFrameSet) -> dict[str, list[float]]:
     """What an index says of a capture that was moved: the point of its files' world that is 0 0 0 here; nothing of any other."""
     return {} if frames.origin is None else {"origin": [float(x) for x in frames.origin]}
 
 
-def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:
+def turn_of(frames: PosedFrameSet, up: str | None, usual: str) -> Turn:
     """From the axes of the capture, whose up direction is the mean one of its training cameras, to those of a file with ``up`` (`AXES`, or
     "capture" for none) or else ``usual`` pointing up. Axes that the capture's files give stand upright, so the nearest one is up. Those of
     our own structure from motion are one camera's, however it was held, so there the direction itself is brought upright."""
-    assert frames.cam_from_world is not None
     direction = upward(frames.held(frames.train))
     axis = nearest_axis(direction)
     if up == "capture":

@@ -14,7 +14,7 @@ from ...scene.camera_paths import upward
 from ...scene.formats.axes import Turn
 from ...scene.formats.usd.splats import stage_turn, write_usd
 from ...scene.model import Model
-from ..shared.frameset import FrameSet
+from ..shared.posed_frameset import PosedFrameSet
 from .bake import Loss, bake, loss_of, nothing_visible
 from .cameras import posed_cameras
 
@@ -34,7 +34,7 @@ class ExportedUsd:
 
 def export_usd(
     model: Model,
-    frames: FrameSet,
+    frames: PosedFrameSet,
     path: Path,
     moments: Sequence[float],
     times: int,
@@ -54,7 +54,6 @@ def export_usd(
         UsdVol.ParticleField3DGaussianSplat  # noqa: B018 - versions before 26.3 have no Gaussians
     except (ImportError, AttributeError) as error:
         raise SettingsError("export usd needs the package usd-core, 26.3 or later; install it with: pip install 'e4dgs[usd]'") from error
-    assert frames.cam_from_world is not None
     try:
         turn = stage_turn(upward(frames.held(frames.train)), up, frames.solved)
     except ValueError as error:

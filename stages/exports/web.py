@@ -17,7 +17,7 @@ from .web_scene import web_scene
 if TYPE_CHECKING:
     from ...scene.formats.web.scene import WebScene
     from ...scene.model import Model
-    from ..shared.frameset import FrameSet
+    from ..shared.posed_frameset import PosedFrameSet
 
 CAMERAS = 48  # of the capture's, to which the page can jump
 LOOKS = 6  # views by which the file is compared with the model
@@ -52,7 +52,7 @@ class ExportedWeb:
         return f"{shapes}, motion {self.header['motion']}; {size}; {self.loss}"
 
 
-def export_web(model: Model, frames: FrameSet, times: int, advance: Callable[[int], None] = lambda n: None) -> ExportedWeb:
+def export_web(model: Model, frames: PosedFrameSet, times: int, advance: Callable[[int], None] = lambda n: None) -> ExportedWeb:
     """``model`` as the web player shows it. times: of the capture. ``advance`` is called after each of three parts."""
     from ...scene.formats.web.scene import WebScene
 
@@ -71,7 +71,7 @@ def export_web(model: Model, frames: FrameSet, times: int, advance: Callable[[in
     return found
 
 
-def light_web(model: Model, frames: FrameSet, times: int, most: int) -> tuple[bytes, bytes] | None:
+def light_web(model: Model, frames: PosedFrameSet, times: int, most: int) -> tuple[bytes, bytes] | None:
     """The file and the poster of `export_web`, with as many SH bands as ``most`` bytes have room for; None if even one is too large."""
     device = model.device
     model.to("cpu")
@@ -88,7 +88,7 @@ def light_web(model: Model, frames: FrameSet, times: int, most: int) -> tuple[by
     return data, first
 
 
-def poster(model: Model, frames: FrameSet) -> bytes:
+def poster(model: Model, frames: PosedFrameSet) -> bytes:
     """What the page shows first, as JPEG: the model from the camera with which the page begins."""
     from PIL import Image
 
@@ -101,12 +101,11 @@ def poster(model: Model, frames: FrameSet) -> bytes:
     return target.getvalue()
 
 
-def about_capture(model: Model, frames: FrameSet) -> dict[str, Any]:
+def about_capture(model: Model, frames: PosedFrameSet) -> dict[str, Any]:
     """The fields of the header that come from the capture: seconds, up, target, cameras."""
     from ...scene.camera_paths import upward
     from .camera_path import looked_at
 
-    assert frames.cam_from_world is not None and frames.K is not None
     chosen = distinct_views(frames, frames.train, CAMERAS)
     cameras = [
         {
@@ -123,15 +122,14 @@ def about_capture(model: Model, frames: FrameSet) -> dict[str, Any]:
     return {"seconds": float(np.ptp(frames.seconds)), "up": up.tolist(), "target": np.asarray(target).tolist(), "cameras": cameras}
 
 
-def pixel_width(frames: FrameSet, target: np.ndarray) -> float:
+def pixel_width(frames: PosedFrameSet, target: np.ndarray) -> float:
     """Width of a pixel at ``target`` [3], world units: the median over the training cameras."""
-    assert frames.cam_from_world is not None and frames.K is not None
     poses = frames.cam_from_world[frames.train]
     depth = np.abs(poses[:, 2, :3] @ target + poses[:, 2, 3])
     return float(np.median(np.maximum(depth, 1e-6) / frames.K[frames.train][:, 0, 0]))
 
 
-def lost(model: Model, scene: WebScene, frames: FrameSet) -> Lost:
+def lost(model: Model, scene: WebScene, frames: PosedFrameSet) -> Lost:
     """How far renders of ``scene`` are from those of ``model``, from held-out cameras if there are enough, at their own times."""
     chosen = np.concatenate([frames.test, frames.val])
     chosen = chosen if len(chosen) >= LOOKS else np.concatenate([chosen, frames.train])

@@ -15,17 +15,18 @@ from ...scene.model import Model
 from ...scene.views import Views
 from ..flow.artifact import StoredFlow
 from .frameset import FrameSet
+from .posed_frameset import PosedFrameSet
 
 STATIC_WEIGHT = 0.1  # factor on the weight of measured flow where nothing moves
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), None: (0.0, 0.0, 0.0)}
 
 
-def load_frameset(inputs: Any, root: Path) -> FrameSet:
+def load_frameset(inputs: Any, root: Path) -> PosedFrameSet:
     """The capture's frames, with poses from the files or from structure from motion."""
-    return FrameSet(inputs["frames"], root, inputs.get("poses"))
+    return PosedFrameSet(inputs["frames"], root, inputs.get("poses"))
 
 
-def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", model: Model | None = None) -> Views:
+def load_views(frames: PosedFrameSet, flow: Artifact | None, device: str = "cpu", model: Model | None = None) -> Views:
     """Views of all frames, with their pictures on ``device``. If ``model`` is given, its near plane and background are used.
 
     ``train`` holds the registered training frames. If `flow` found that nothing moves in front of a moving camera, all frames have one
@@ -39,8 +40,8 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
     if stored is not None and stored.static and not frames.fixed_cameras:
         time = np.zeros_like(time)
     return Views(
-        K=np.asarray(frames.K),
-        cam_from_world=np.asarray(frames.cam_from_world),
+        K=frames.K,
+        cam_from_world=frames.cam_from_world,
         time=time,
         camera=np.asarray(frames.camera),
         next=np.asarray(frames.next),

@@ -11,7 +11,7 @@ from e4dgs.pipeline import StageError
 from e4dgs.stages.exports.splats import KINDS, export_splats
 from e4dgs.stages.exports.straight.export import export_straight
 from e4dgs.stages.exports.usd import export_usd
-from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.posed_frameset import PosedFrameSet
 from made_models import FRAMES, made
 from run_stage import run_frames
 
@@ -23,8 +23,8 @@ SEEN = 2 / (FRAMES - 1)  # the only time of the capture at which something is th
 
 
 @pytest.fixture(scope="module")
-def frames(dnerf_capture, tmp_path_factory) -> FrameSet:
-    return FrameSet(run_frames(dnerf_capture.root, tmp_path_factory.mktemp("empty")).artifact, dnerf_capture.root)
+def frames(dnerf_capture, tmp_path_factory) -> PosedFrameSet:
+    return PosedFrameSet(run_frames(dnerf_capture.root, tmp_path_factory.mktemp("empty")).artifact, dnerf_capture.root)
 
 
 @pytest.fixture

@@ -15,13 +15,13 @@ from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.exports.bake import SPREADS, Baked, bake, loss_of
 from e4dgs.stages.exports.capture_cameras import camera_of
 from e4dgs.stages.exports.plain import PlainLook, compensated
-from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.posed_frameset import PosedFrameSet
 from run_stage import run_frames
 
 
 @pytest.fixture(scope="module")
-def frames(dnerf_capture, tmp_path_factory) -> FrameSet:
-    return FrameSet(run_frames(dnerf_capture.root, tmp_path_factory.mktemp("bake")).artifact, dnerf_capture.root)
+def frames(dnerf_capture, tmp_path_factory) -> PosedFrameSet:
+    return PosedFrameSet(run_frames(dnerf_capture.root, tmp_path_factory.mktemp("bake")).artifact, dnerf_capture.root)
 
 
 def made_of_convexes() -> Model:

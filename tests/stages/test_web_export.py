@@ -8,15 +8,15 @@ import torch
 from e4dgs.scene.formats.web.container import header_of
 from e4dgs.scene.formats.web.scene import WebScene
 from e4dgs.stages.exports.web import export_web, light_web
-from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.posed_frameset import PosedFrameSet
 from made_models import made
 from PIL import Image
 from run_stage import run_frames
 
 
 @pytest.fixture(scope="module")
-def frames(dnerf_capture, tmp_path_factory) -> FrameSet:
-    return FrameSet(run_frames(dnerf_capture.root, tmp_path_factory.mktemp("web")).artifact, dnerf_capture.root)
+def frames(dnerf_capture, tmp_path_factory) -> PosedFrameSet:
+    return PosedFrameSet(run_frames(dnerf_capture.root, tmp_path_factory.mktemp("web")).artifact, dnerf_capture.root)
 
 
 def test_the_export_has_the_captures_cameras_a_poster_and_its_loss(frames):

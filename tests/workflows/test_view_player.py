@@ -8,7 +8,7 @@ import urllib.request
 
 import pytest
 from e4dgs.scene.formats.web.scene import WebScene
-from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.posed_frameset import PosedFrameSet
 from e4dgs.workflows.view.address import listening
 from e4dgs.workflows.view.page_server import PageServer
 from e4dgs.workflows.view.source import Found
@@ -17,8 +17,8 @@ from run_stage import run_frames
 
 
 @pytest.fixture(scope="module")
-def frames(dnerf_capture, tmp_path_factory) -> FrameSet:
-    return FrameSet(run_frames(dnerf_capture.root, tmp_path_factory.mktemp("view")).artifact, dnerf_capture.root)
+def frames(dnerf_capture, tmp_path_factory) -> PosedFrameSet:
+    return PosedFrameSet(run_frames(dnerf_capture.root, tmp_path_factory.mktemp("view")).artifact, dnerf_capture.root)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from ...stages.exports.camera_path import NAMES, CameraPath
 from .path_lens import BENT, FIELDS, lens_of, refuse_other_kinds, size_of
 
 if TYPE_CHECKING:
-    from ...stages.shared.frameset import FrameSet
+    from ...stages.shared.posed_frameset import PosedFrameSet
 
 MOST_FRAMES = 100_000
 POSES = ("cam_from_world", "transform_matrix", "camera_to_world")
@@ -45,7 +45,7 @@ class FilePath(CameraPath):
     notes: tuple[str, ...]
 
 
-def path_of_file(file: Path, frames: FrameSet) -> FilePath:
+def path_of_file(file: Path, frames: PosedFrameSet) -> FilePath:
     """The path in a JSON file: ``{"frames": [{...}]}`` or nerfstudio's ``{"camera_path": [{...}]}``.
 
     Each view has one of ``cam_from_world`` (4x4, OpenCV), ``transform_matrix`` and ``camera_to_world`` (4x4 or 16 numbers row by row,
@@ -64,7 +64,6 @@ def path_of_file(file: Path, frames: FrameSet) -> FilePath:
         poses.append(_pose(row, where))
         refuse_other_kinds(row, where)
         lenses.append(lens_of(data, row, size, where))
-    assert frames.K is not None
     usual = _of_capture(frames, size)
     found = np.stack(poses) @ _of_export(data, name)
     if frames.origin is not None:
@@ -127,9 +126,8 @@ def _times(rows: Sequence[Mapping[str, Any]], name: str) -> np.ndarray:
     return np.array(times, np.float64)
 
 
-def _of_capture(frames: FrameSet, size: tuple[int, int]) -> np.ndarray:
+def _of_capture(frames: PosedFrameSet, size: tuple[int, int]) -> np.ndarray:
     """The lens of the capture's first training frame for pictures of ``size``: as high, so that a wider picture shows more at the sides."""
-    assert frames.K is not None
     K = frames.K[frames.train[0]]
     if size == (frames.width, frames.height):
         return K

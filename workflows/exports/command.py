@@ -73,7 +73,7 @@ def flow(options: Options, out: Out = None, largest: Largest = None) -> None:
 
     from ...stages.exports.flow import common_largest, export_flow
     from ...stages.flow.artifact import StoredFlow
-    from ...stages.shared.frameset import FrameSet
+    from ...stages.shared.posed_frameset import PosedFrameSet
 
     console = Console()
     fields = StoredFlow(artifact)
@@ -81,7 +81,7 @@ def flow(options: Options, out: Out = None, largest: Largest = None) -> None:
         why = fields.static_reason or "no two training frames of one camera"
         raise CaptureError(f"{options.capture}: no flow was measured, so there is none to export: {why}")
     largest = largest or common_largest(fields)
-    pictures = FrameSet(frames, session.job.capture.root, found.get("poses"))
+    pictures = PosedFrameSet(frames, session.job.capture.root, found.get("poses"))
     with Progress(len(fields.pairs), "export", console) as bar, writing(folder):
         count = export_flow(fields, pictures, folder, largest, bar.advance)
     meaning = f"full colour is {largest:.3g} px, darker means more, black means unknown (wheel.png)"

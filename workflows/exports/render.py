@@ -21,7 +21,7 @@ from .trained import check_posed, open_trained, out_option, writing
 if TYPE_CHECKING:
     from ...scene.model import Model
     from ...stages.exports.camera_path import CameraPath
-    from ...stages.shared.frameset import FrameSet
+    from ...stages.shared.posed_frameset import PosedFrameSet
 
 
 @of_last_run("coarse")
@@ -103,7 +103,7 @@ def _checked(out: Path, alpha: bool, depth: bool) -> bool:
 
 
 def _planned(
-    path: str, frames: FrameSet, model: Model, asked: Asked, time: float | None
+    path: str, frames: PosedFrameSet, model: Model, asked: Asked, time: float | None
 ) -> tuple[CameraPath, tuple[int, int], Film, tuple[str, ...]]:
     """The views that ``--path`` asks for, their size, the film that they make, and notes. Raises SettingsError for a name that is neither a
     known path nor a file, and for options that do not fit."""

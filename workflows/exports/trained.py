@@ -20,7 +20,7 @@ from ..session import Options, Session, open_session
 
 if TYPE_CHECKING:
     from ...scene.model import Model
-    from ...stages.shared.frameset import FrameSet
+    from ...stages.shared.posed_frameset import PosedFrameSet
 
 MOST_TIMES, MOST_ASKED = 60, 10_000  # by default, and that --times takes
 
@@ -49,7 +49,7 @@ class Trained:
 
     session: Session
     model: Model
-    frames: FrameSet
+    frames: PosedFrameSet
 
     @property
     def times(self) -> int:
@@ -87,19 +87,19 @@ def open_trained(options: Options) -> Trained:
     artifact, frames = found[trained], found["frames"]
     assert artifact is not None and frames is not None  # `results` guarantees the first, and no stage runs without the second
 
-    from ...stages.shared.frameset import FrameSet
     from ...stages.shared.model import read_model
+    from ...stages.shared.posed_frameset import PosedFrameSet
 
-    return Trained(session, read_model(artifact), FrameSet(frames, session.job.capture.root, found.get("poses")))
+    return Trained(session, read_model(artifact), PosedFrameSet(frames, session.job.capture.root, found.get("poses")))
 
 
-def check_posed(options: Options, frames: FrameSet, lacking: str = "is no place to look from") -> None:
+def check_posed(options: Options, frames: PosedFrameSet, lacking: str = "is no place to look from") -> None:
     """Raises CaptureError if no training frame has a pose. lacking: what there then is not."""
     if not len(frames.train):
         raise CaptureError(f"{options.capture}: no training frame has a pose, so there {lacking}")
 
 
-def axes_line(turn: Turn, frames: FrameSet) -> str:
+def axes_line(turn: Turn, frames: PosedFrameSet) -> str:
     """How the files of an export lie in the world of the capture's files, for people."""
     if frames.origin is None:
         return f"axes: {turn}"

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from ...pipeline import Artifact, Job
 from ...stages.evaluate.judge import Judge
-from ...stages.shared.frameset import FrameSet
 from ...stages.shared.model import read_model
+from ...stages.shared.posed_frameset import PosedFrameSet
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class ViewCosts:
 def measure_views(job: Job, inputs: Mapping[str, Artifact | None], model: Artifact) -> ViewCosts:
     """Judges two views one by one: `evaluate` measures some beside one another and takes no longer."""
     begin = time.perf_counter()
-    frames = FrameSet(inputs["frames"], job.capture.root, inputs["poses"])  # type: ignore[arg-type]
+    frames = PosedFrameSet(inputs["frames"], job.capture.root, inputs["poses"])  # type: ignore[arg-type]
     judge = Judge(read_model(model).to(job.device), frames, None, fixed=frames.fixed_cameras)
     chosen = [int(i) for i in frames.train[:: max(1, len(frames.train) // 2)][:2]]
     judge.render(chosen[0])

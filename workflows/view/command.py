@@ -36,7 +36,7 @@ def view(
     place = listening(host, port)
     session = open_session(options)
 
-    from ...stages.shared.frameset import FrameSet
+    from ...stages.shared.posed_frameset import PosedFrameSet
     from .source import Source
 
     source = Source(session)
@@ -48,7 +48,7 @@ def view(
         artifacts = source.frames()
         if artifacts is None:
             raise source.missing()
-        frames = FrameSet(artifacts[0], session.job.capture.root, artifacts[1])
+        frames = PosedFrameSet(artifacts[0], session.job.capture.root, artifacts[1])
         check_posed(options, frames)
         viewer: Viewer | PageServer
         if player:

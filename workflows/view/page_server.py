@@ -10,7 +10,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from ...scene.model import Model
 from ...stages.exports.web import light_web
-from ...stages.shared.frameset import FrameSet
+from ...stages.shared.posed_frameset import PosedFrameSet
 from ..player.page import page
 from .source import Found
 
@@ -24,7 +24,7 @@ class PageServer:
     title: of the page. times: of the capture. host, port: as from `listening`.
     """
 
-    def __init__(self, frames: FrameSet, found: Found, title: str, times: int, host: str, port: int) -> None:
+    def __init__(self, frames: PosedFrameSet, found: Found, title: str, times: int, host: str, port: int) -> None:
         self.frames, self.title, self.times = frames, title, times
         self.show(found)
         viewer = self
@@ -70,7 +70,7 @@ class PageServer:
         self.server.server_close()
 
 
-def written(model: Model, frames: FrameSet, title: str, times: int) -> tuple[bytes, str]:
+def written(model: Model, frames: PosedFrameSet, title: str, times: int) -> tuple[bytes, str]:
     """The scene's file and its page."""
     made = light_web(model, frames, times, MOST)
     if made is None:

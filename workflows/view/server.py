@@ -15,7 +15,7 @@ from ...rasterizer import Camera
 from ...scene.camera_paths import upward
 from ...scene.model import Model
 from ...stages.exports.camera_path import looked_at
-from ...stages.shared.frameset import FrameSet
+from ...stages.shared.posed_frameset import PosedFrameSet
 from .looks import photo_beside, picture
 from .panel import Controls, Panel
 from .quiet import hush, unsaid
@@ -58,12 +58,11 @@ class Viewer:
     host, port: as from `listening`. The scene is turned about the mean up direction of the cameras.
     """
 
-    def __init__(self, frames: FrameSet, found: Found, host: str, port: int) -> None:
+    def __init__(self, frames: PosedFrameSet, found: Found, host: str, port: int) -> None:
         self.frames, self.found, self.version = frames, found, 0
         self.rows = np.concatenate([frames.train, frames.val, frames.test])
         self.rows.sort()
         self.rendering = threading.Lock()  # kernels use all cores; two pictures at once would only take turns
-        assert frames.cam_from_world is not None
         self.up = upward(frames.held(frames.train))
         hush()
         with unsaid():  # the command prints the address
@@ -74,7 +73,6 @@ class Viewer:
 
     def _look_from(self, i: int) -> None:
         """Makes browsers start where frame ``i`` was taken and orbit around the point that the cameras look at."""
-        assert self.frames.cam_from_world is not None and self.frames.K is not None
         pose, K = self.frames.cam_from_world[i], self.frames.K[i]
         position = -pose[:3, :3].T @ pose[:3, 3]
         self.distance = max(float(np.linalg.norm(looked_at(self.frames, self.found.model) - position)), 1e-6)
@@ -85,7 +83,6 @@ class Viewer:
 
     def leans(self, i: int) -> bool:
         """Whether frame ``i`` was taken with a roll against the scene's up direction."""
-        assert self.frames.cam_from_world is not None
         return leans(self.frames.cam_from_world[i], self.up)
 
     def show(self, found: Found) -> None:
@@ -112,7 +109,6 @@ class _Browser:
 
     def _go(self, row: int) -> None:
         frames = self.viewer.frames
-        assert frames.cam_from_world is not None and frames.K is not None
         i = int(self.viewer.rows[row])
         pose, camera = frames.cam_from_world[i], self.client.camera
         with self.client.atomic():
@@ -166,7 +162,6 @@ class _Browser:
         with self.viewer.rendering:
             shown = picture(found.model, camera, choice.time, choice.look, choice.primitives, choice.outlines)
         if choice.photo and self.frame is not None and self._stands_at(view, self.frame):
-            assert self.viewer.frames.K is not None
             photo = self.viewer.frames.composited(self.frame)
             shown = photo_beside(shown, photo, self.viewer.frames.K[self.frame], camera, choice.photo)
         self.client.scene.set_background_image(shown, format="jpeg", jpeg_quality=QUALITY[not moving])
@@ -196,7 +191,6 @@ class _Browser:
     def _looks_like(self, view: View, i: int) -> bool:
         """Whether the camera is where frame ``i`` was taken."""
         frames = self.viewer.frames
-        assert frames.cam_from_world is not None
         pose = frames.cam_from_world[i]
         turned = tf.SO3(np.array(view.wxyz)).as_matrix() @ pose[:3, :3]
         away = np.linalg.norm(np.array(view.position) + pose[:3, :3].T @ pose[:3, 3])

@@ -13,7 +13,7 @@ from ....rasterizer import Camera
 from ....vision.images.movie import encode_movie
 from ....vision.images.pictures import shrunk
 from ...exports.camera_path import named_path
-from ...shared.frameset import FrameSet
+from ...shared.posed_frameset import PosedFrameSet
 from ..artifact import write_movie
 from ..judge import Judge
 from .book import to_bytes
@@ -24,7 +24,7 @@ QUALITY = 23  # constant rate factor of x264
 LEAST = 3  # least number of pictures of a movie
 
 
-def write_movies(ctx: Context, judge: Judge, frames: FrameSet, indices: Sequence[int], most: int) -> None:
+def write_movies(ctx: Context, judge: Judge, frames: PosedFrameSet, indices: Sequence[int], most: int) -> None:
     """Writes "over_time", if ``indices`` have several times, and "turntable": MP4 files of at most ``most`` pictures."""
     mine = in_order_of_time(frames, indices, most)
     turned = most if most >= LEAST else 0
@@ -37,7 +37,7 @@ def write_movies(ctx: Context, judge: Judge, frames: FrameSet, indices: Sequence
             _write(ctx.out, "turntable", _turn(judge, frames, turned), turned, doc, bar.advance)
 
 
-def in_order_of_time(frames: FrameSet, indices: Sequence[int], most: int) -> list[int]:
+def in_order_of_time(frames: PosedFrameSet, indices: Sequence[int], most: int) -> list[int]:
     """Up to ``most`` of ``indices`` with increasing times: from the camera that has most of them, or from all if no camera has at least
     `LEAST`. Empty if they have only one time."""
     number, counts = np.unique(frames.camera[list(indices)], return_counts=True)
@@ -49,12 +49,12 @@ def in_order_of_time(frames: FrameSet, indices: Sequence[int], most: int) -> lis
     return evenly(ordered, most)
 
 
-def _beside(judge: Judge, frames: FrameSet, i: int) -> np.ndarray:
+def _beside(judge: Judge, frames: PosedFrameSet, i: int) -> np.ndarray:
     """The ground truth on the left, the render on the right."""
     return np.concatenate([shrunk(frames.composited(i), SIZE), shrunk(to_bytes(judge.render(i)[0]), SIZE)], axis=1)
 
 
-def _turn(judge: Judge, frames: FrameSet, count: int) -> Iterator[np.ndarray]:
+def _turn(judge: Judge, frames: PosedFrameSet, count: int) -> Iterator[np.ndarray]:
     way = named_path("turntable", frames, judge.model, count)
     scale = min(1.0, SIZE / max(frames.width, frames.height))
     width, height = max(round(scale * frames.width), 2), max(round(scale * frames.height), 2)

@@ -20,7 +20,7 @@ from ....scene.formats.freetime import freetime_bytes, read_freetime
 from ....scene.formats.gaussian_birth import Clock, View, container_bytes, read_container
 from ....scene.formats.pieces import Pieces
 from ....scene.model import Model
-from ...shared.frameset import FrameSet
+from ...shared.posed_frameset import PosedFrameSet
 from ..bake import Baked, Loss, bake, loss_of, nothing_visible
 from ..camera_path import looked_at
 from ..capture_cameras import camera_of, distinct_views
@@ -63,7 +63,7 @@ class ExportedStraight:
 
 def export_straight(
     model: Model,
-    frames: FrameSet,
+    frames: PosedFrameSet,
     out: Path,
     times: int,
     kind: Straight = "4dgs",
@@ -119,7 +119,7 @@ class Look:
     times: int
 
 
-def written(pieces: Pieces, frames: FrameSet, clock: Clock, look: Look) -> bytes:
+def written(pieces: Pieces, frames: PosedFrameSet, clock: Clock, look: Look) -> bytes:
     """The file with ``pieces``, which are in its axes."""
     if look.kind == "4dgs":
         return container_bytes(pieces, clock, look.turn, view_of(frames, look.target, look.turn), look.title)
@@ -135,15 +135,14 @@ def decoder(kind: Straight, data: bytes, clock: Clock, turn: Turn) -> Callable[[
     return lambda t: turn.back(at(t * clock.span))
 
 
-def clock_of(frames: FrameSet, times: int) -> Clock:
+def clock_of(frames: PosedFrameSet, times: int) -> Clock:
     """Every time of the capture lasts equally long, the last one, too."""
     span = float(np.ptp(frames.seconds)) or max(times - 1, 1) / USUAL_RATE
     return Clock(span, span * times / (times - 1)) if times > 1 else Clock(1.0, 1.0)
 
 
-def view_of(frames: FrameSet, target: np.ndarray, turn: Turn) -> View:
+def view_of(frames: PosedFrameSet, target: np.ndarray, turn: Turn) -> View:
     """The first camera of the capture, in the axes of a file."""
-    assert frames.K is not None and frames.cam_from_world is not None
     first = int(frames.train[0]) if len(frames.train) else 0
     pose, K = frames.cam_from_world[first], frames.K[first]
     angle = 2 * math.degrees(math.atan(frames.height / (2 * K[1, 1])))
@@ -151,14 +150,13 @@ def view_of(frames: FrameSet, target: np.ndarray, turn: Turn) -> View:
     return View(angle, turn.matrix @ place, turn.matrix @ target)
 
 
-def eyes_of(frames: FrameSet) -> Tensor:
+def eyes_of(frames: PosedFrameSet) -> Tensor:
     """[V, 3] places of at most `EYES` cameras of the capture."""
-    assert frames.cam_from_world is not None
     poses = torch.as_tensor(frames.cam_from_world[distinct_views(frames, frames.train, EYES)]).double()
     return -(poses[:, :3, :3].transpose(1, 2) @ poses[:, :3, 3:])[..., 0]
 
 
-def compared(baked: Baked, frames: FrameSet, decoded: Callable[[float], Gaussians], moments: tuple[float, ...]) -> float:
+def compared(baked: Baked, frames: PosedFrameSet, decoded: Callable[[float], Gaussians], moments: tuple[float, ...]) -> float:
     """PSNR, dB, of renders of ``decoded`` against renders of ``baked`` in the mode that these are for, each moment from another camera."""
     chosen = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), len(moments))
     background, error = torch.tensor(baked.model.background), []
