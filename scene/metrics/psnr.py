@@ -24,7 +24,11 @@ def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
         if not mask.any():
             raise ValueError("mask: holds no pixel, so there is nothing to compare")
         error = error[mask]
-    mse = float(error.mean())
+    return decibels(float(error.mean()))
+
+
+def decibels(mse: float) -> float:
+    """PSNR in dB of a mean squared error of colours in [0, 1]; at most `CAP`."""
     return CAP if mse <= 10 ** (-CAP / 10) else -10.0 * math.log10(mse)
 
 

@@ -13,6 +13,7 @@ from ...pipeline.choice.evenly import evenly
 from ...rasterizer import Frame, Gaussians, rasterize
 from ...scene.convex_gaussians import GaussianFit
 from ...scene.formats.ply import joined
+from ...scene.metrics.psnr import decibels
 from ...scene.model import Model
 from ..shared.posed_frameset import PosedFrameSet
 from .capture_cameras import camera_of, distinct_views
@@ -124,7 +125,7 @@ def loss_of(baked: Baked, frames: PosedFrameSet, *moments: float) -> Loss:
         chosen = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), LOOKS)
     looked = evenly(moments, MOMENTS)
     errors = [float(np.mean([_squared_error(baked, frames, int(i), t) for i in chosen])) for t in looked]
-    mean, worst = (float(-10 * np.log10(max(error, 1e-10))) for error in (np.mean(errors), max(errors)))
+    mean, worst = (decibels(error) for error in (float(np.mean(errors)), max(errors)))
     when = looked[int(np.argmax(errors))]
     return Loss(mean, len(chosen), len(baked.model.convexes), baked.antialiased, len(looked), worst, when)
 

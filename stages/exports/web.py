@@ -11,6 +11,7 @@ import numpy as np
 
 from ...pipeline import counted
 from ...pipeline.choice.evenly import evenly
+from ...scene.metrics.psnr import decibels
 from .capture_cameras import camera_of, distinct_views
 from .web_scene import web_scene
 
@@ -139,4 +140,4 @@ def lost(model: Model, scene: WebScene, frames: PosedFrameSet) -> Lost:
         camera, t = camera_of(model, frames, int(i)), float(frames.time[i])
         pair = [drawn.render(camera, t).color.detach().cpu().clamp(0, 1) for drawn in (model, scene)]
         error.append(float((pair[0] - pair[1]).square().mean()))
-    return Lost(float(-10 * np.log10(max(float(np.mean(error)), 1e-10))), len(chosen))
+    return Lost(decibels(float(np.mean(error))), len(chosen))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from ...losses.photometric import Recording
+from ...metrics.psnr import decibels
 from ..optimiser import ALL_ROWS, Rows
 
 
@@ -42,4 +42,4 @@ class Evaluation:
         error = (color - self.target).square().mean(-1)
         if self.weight is not None and bool(self.weight.any()):
             error = error[self.weight != 0]
-        return -10 * float(np.log10(max(float(error.mean()), 1e-10)))
+        return decibels(float(error.mean()))

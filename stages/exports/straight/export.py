@@ -19,6 +19,7 @@ from ....scene.formats.axes import Turn
 from ....scene.formats.freetime import freetime_bytes, read_freetime
 from ....scene.formats.gaussian_birth import Clock, View, container_bytes, read_container
 from ....scene.formats.pieces import Pieces
+from ....scene.metrics.psnr import decibels
 from ....scene.model import Model
 from ...shared.posed_frameset import PosedFrameSet
 from ..bake import Baked, Loss, bake, loss_of, nothing_visible
@@ -167,4 +168,4 @@ def compared(baked: Baked, frames: PosedFrameSet, decoded: Callable[[float], Gau
             with torch.no_grad():
                 pair.append(rasterize(camera, shown, None, background).color.clamp(0, 1))
         error.append(float((pair[0] - pair[1]).square().mean()))
-    return float(-10 * np.log10(max(float(np.mean(error)), 1e-10)))
+    return decibels(float(np.mean(error)))
