@@ -12,8 +12,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..rasterize import _cast, _no_convexes, _no_gaussians, _pad_extras
 from ..types import Camera, Frame
+from ..uniform import cast, no_convexes, no_gaussians, pad_extras
 from .blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, effective_alphas
 from .convexes import Shapes, convex_alphas, project_convexes
 from .gaussians import Splats, gaussian_alphas, project_gaussians
@@ -29,10 +29,10 @@ OUTPUTS = ("color", "alpha", "depth", "extras")
 @torch.no_grad()
 def projected(scene: Scene) -> tuple[Camera, Splats, Shapes]:
     """The scene's camera and its projected primitives from the reference, in float64 and without extras."""
-    camera = _cast(scene.camera, torch.float64)
-    gaussians = _cast(scene.gaussians or _no_gaussians(camera.K.dtype, camera.K.device), torch.float64)
-    convexes = _cast(scene.convexes or _no_convexes(camera.K.dtype, camera.K.device), torch.float64)
-    gaussians, convexes = _pad_extras(replace(gaussians, extras=None), replace(convexes, extras=None))
+    camera = cast(scene.camera, torch.float64)
+    gaussians = cast(scene.gaussians or no_gaussians(camera.K.dtype, camera.K.device), torch.float64)
+    convexes = cast(scene.convexes or no_convexes(camera.K.dtype, camera.K.device), torch.float64)
+    gaussians, convexes = pad_extras(replace(gaussians, extras=None), replace(convexes, extras=None))
     return camera, project_gaussians(camera, gaussians, scene.antialiased), project_convexes(camera, convexes, scene.antialiased)
 
 

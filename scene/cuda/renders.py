@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Camera, Frame
-from ...rasterizer.rasterize import FAR_CAMERA
+from ...rasterizer.uniform import FAR_CAMERA
 from ...rasterizer.validate import check_camera
 from .graph import Graph, unchanged
 

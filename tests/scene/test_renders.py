@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from e4dgs.rasterizer.cuda import capacity
-from e4dgs.rasterizer.rasterize import FAR_CAMERA
+from e4dgs.rasterizer.uniform import FAR_CAMERA
 from e4dgs.scene.cuda import renders
 from e4dgs.scene.cuda.renders import Renders
 from replaying import KINDS, Again, begun

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ....rasterizer.rasterize import FAR_CAMERA
+from ....rasterizer.uniform import FAR_CAMERA
 from ...cuda.graph import Graph, Recorded, Results
 from ...model import Model
 from ...views import Views
