@@ -60,26 +60,9 @@ def write_usd(
     All are time samples of the same Gaussians, those visible at any of the times, so programs can interpolate between samples. Raises
     ImportError without usd-core, OSError if the file cannot be written.
     """
-    from pxr import Gf, Usd, UsdGeom, UsdVol, Vt
+    from pxr import Gf, Usd, UsdVol, Vt
 
-    stage = Usd.Stage.CreateInMemory()
-    layer = stage.GetRootLayer()
-    layer.documentation = NOTE
-    stage.SetFramesPerSecond(rate)
-    stage.SetTimeCodesPerSecond(rate)
-    stage.SetStartTimeCode(times[0] * last_code)
-    stage.SetEndTimeCode(times[-1] * last_code)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    root = UsdGeom.Xform.Define(stage, "/World")
-    stage.SetDefaultPrim(root.GetPrim())
-    UsdGeom.SetStageUpAxis(stage, turn.after if turn.after in ("Y", "Z") else "Y")
-    if turn.up is not None:
-        root.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*map(float, turn.quat)))
-    elif turn.degrees:
-        about = nearest_axis(turn.about)
-        add = {"X": root.AddRotateXOp, "Y": root.AddRotateYOp, "Z": root.AddRotateZOp}[about[-1]]
-        add().Set(float(-turn.degrees if about[0] == "-" else turn.degrees))
-
+    stage = _empty_stage(times[0] * last_code, times[-1] * last_code, rate, turn)
     rows = [(seen_rows(moment), drawable_rows(moment)) for moment in map(at, times)]
     keep = torch.stack([seen for seen, _ in rows]).any(0) & torch.stack([drawable for _, drawable in rows]).all(0)
     if not keep.any():
@@ -88,18 +71,7 @@ def write_usd(
     # Without it, colours are taken as linear. There is no token for display values; this one has their primaries and curve.
     Usd.ColorSpaceAPI.Apply(splats.GetPrim()).CreateColorSpaceNameAttr(Gf.ColorSpaceNames.SRGBRec709)
     sh_degree = 0
-    written: dict[str, tuple[np.ndarray, Any]] = {}
-
-    def sample(attribute: Usd.Attribute, code: float, array: np.ndarray, kind: Any) -> None:
-        """Set a sample. Consecutive equal samples share one array, so values that do not change are stored once. The first is also the
-        value of readers that ask for no time: without one they would find an empty scene."""
-        before = known = written.get(attribute.GetName())
-        if known is None or not np.array_equal(known[0], array):
-            known = written[attribute.GetName()] = array, kind.FromNumpy(array)
-        if before is None:
-            attribute.Set(known[1])
-        attribute.Set(known[1], Usd.TimeCode(code))
-
+    sample = _Samples()
     before: Tensor | None = None
     for t in times:
         moment, code = at(t), float(t * last_code)
@@ -122,8 +94,47 @@ def write_usd(
     splats.GetProjectionModeHintAttr().Set("perspective")
     splats.GetSortingModeHintAttr().Set("zDepth")
     define_cameras(stage, "/World/Cameras", cameras, last_code)
-    _export(layer, path)
+    _export(stage.GetRootLayer(), path)
     return int(keep.sum())
+
+
+def _empty_stage(first_code: float, last_code: float, rate: float, turn: Turn) -> Any:
+    """A Usd.Stage in memory with its times, its up axis and a /World that is turned."""
+    from pxr import Gf, Usd, UsdGeom
+
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().documentation = NOTE
+    stage.SetFramesPerSecond(rate)
+    stage.SetTimeCodesPerSecond(rate)
+    stage.SetStartTimeCode(first_code)
+    stage.SetEndTimeCode(last_code)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, "/World")
+    stage.SetDefaultPrim(root.GetPrim())
+    UsdGeom.SetStageUpAxis(stage, turn.after if turn.after in ("Y", "Z") else "Y")
+    if turn.up is not None:
+        root.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*map(float, turn.quat)))
+    elif turn.degrees:
+        about = nearest_axis(turn.about)
+        add = {"X": root.AddRotateXOp, "Y": root.AddRotateYOp, "Z": root.AddRotateZOp}[about[-1]]
+        add().Set(float(-turn.degrees if about[0] == "-" else turn.degrees))
+    return stage
+
+
+class _Samples:
+    """Sets time samples of attributes. Consecutive equal samples share one array, so values that do not change are stored once."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[np.ndarray, Any]] = {}
+
+    def __call__(self, attribute: Any, code: float, array: np.ndarray, kind: Any) -> None:
+        """kind: of the Vt arrays that the attribute takes."""
+        before = known = self._last.get(attribute.GetName())
+        if known is None or not np.array_equal(known[0], array):
+            known = self._last[attribute.GetName()] = array, kind.FromNumpy(array)
+        if before is None:  # readers that ask for no time take this value: without one they would find an empty scene
+            attribute.Set(known[1])
+        attribute.Set(known[1], code)
 
 
 def as_float32(value: Tensor) -> np.ndarray:
