@@ -133,21 +133,23 @@ def steps(capture: str, workspace: str, name: str, interval: str, data: str, eve
     import time
 
     from e4dgs.pipeline import Records, Store
+    from e4dgs.scene.losses.term import Measured
     from e4dgs.scene.motion.phases import Phase
     from e4dgs.scene.settings import TrainingSettings
     from e4dgs.scene.training.trainer import Trainer
-    from e4dgs.stages.shared.dataset import load_views, measured_flow
-    from e4dgs.stages.shared.frameset import FrameSet
+    from e4dgs.stages.shared.dataset import load_views
+    from e4dgs.stages.shared.measured import measured_flow
     from e4dgs.stages.shared.model import read_model
+    from e4dgs.stages.shared.posed_frameset import PosedFrameSet
 
     store, records = Store(Path(workspace) / "store"), Records(Path(workspace) / "scenes" / name / "records")
     artifacts = {stage: store.open(stage, (records.read(stage) or {})["key"]) for stage in ("frames", "flow", "coarse")}
-    views = load_views(FrameSet(artifacts["frames"], Path(capture)), artifacts["flow"])
+    views = load_views(PosedFrameSet(artifacts["frames"], Path(capture)), artifacts["flow"])
     options = {"interval_weight": float(interval), "data_flow_weight": float(data), "flow_every": int(every)}
     phase = Phase("deformation", 1000)
     trainer = Trainer(
         read_model(artifacts["coarse"]), views, [phase], TrainingSettings.model_validate(options), 100_000, grow=False,
-        measured_flow=measured_flow(artifacts["flow"], views),
+        measured=Measured(measured_flow(artifacts["flow"], views)),
     )  # fmt: skip
     trainer.iteration = 400
     seconds = 0.0

@@ -19,7 +19,7 @@ from ..rasterizer.cuda import selftest
 from ..rasterizer.cuda.programs import backproject_convexes, backproject_gaussians, needed, project_convexes
 from ..rasterizer.cuda.runtime import Program, warm_up
 from .cuda.programs import program
-from .losses.term import Run
+from .losses.term import Measured, Run
 from .model import Model
 from .motion.interface import Motion
 from .motion.lifetimes.lifetime import set_lifetime
@@ -72,7 +72,7 @@ def _step(motion: str, device: str) -> dict[str, Tensor]:
     settings = TrainingSettings.model_validate({"sh_degree": DEGREES[motion], **WEIGHTS})
     model = _model(motion).to(device)
     recipe = model.motion.recipe
-    objective = Objective(Run(_views(device), settings, recipe, DISTANCE, motion == "planes", TOTAL, 0, _measured_flow))
+    objective = Objective(Run(_views(device), settings, recipe, DISTANCE, motion == "planes", TOTAL, 0, Measured(_measured_flow)))
     judged = objective(model, 1, STEP, Phase("all", TOTAL), DEGREES[motion])
     judged.loss.backward()  # type: ignore[no-untyped-call]
     optimiser = LearnedModel(model, settings, DISTANCE, 1.0).optimiser

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from e4dgs.scene.losses.held_depth import HeldDepth
 from e4dgs.scene.losses.measured_depth import MeasuredDepth
+from e4dgs.scene.losses.term import Measured
 from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
@@ -86,8 +87,8 @@ def begun(what, device="cpu"):
         if rig:
             set_lifetime(model.convexes, 3.0, 2.0)
     recipe = replace(Lifetimes.recipe if rig else NODES, interval=1e-3)
-    given = {"measured_flow": flow, "measured_depth": depth, "held_depth": held}
-    trainer = Trainer(model.to(device), views, [PHASE], QUICK, 400, recipe=recipe, **given)
+    measured = Measured(flow, depth, held)
+    trainer = Trainer(model.to(device), views, [PHASE], QUICK, 400, recipe=recipe, measured=measured)
     assert trainer.objective.run.several == rig
     trainer.objective.drawn = DrawnTiles(views, 0, 100_000)
     trainer.objective.drawn.often = {0, 1}

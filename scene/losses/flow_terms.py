@@ -69,7 +69,7 @@ class MeasuredFlowTerm(_FlowTerm):
         self._bytes = 0
 
     def due(self, model: Model, now: Now) -> bool:
-        return super().due(model, now) and self.run.measured_flow is not None
+        return super().due(model, now) and self.run.measured.flow is not None
 
     def inputs(self, model: Model, now: Now) -> FlowTarget | None:
         return None if model.motion.static or not model.moves() else self.target(now.frame)
@@ -83,7 +83,7 @@ class MeasuredFlowTerm(_FlowTerm):
         if i in self._targets:
             return self._targets[i]
         views = self.run.views
-        measured = None if self.run.measured_flow is None else self.run.measured_flow(i)
+        measured = None if self.run.measured.flow is None else self.run.measured.flow(i)
         if measured is None:
             return None
         flow, weight = (part.to(views.device) for part in measured)

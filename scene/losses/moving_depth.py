@@ -15,14 +15,14 @@ class MovingDepth(Term):
     name, setting = "moving depth", "depth"
 
     def due(self, model: Model, now: Now) -> bool:
-        return super().due(model, now) and self.run.held_depth is not None
+        return super().due(model, now) and self.run.measured.held is not None
 
     def inputs(self, model: Model, now: Now) -> tuple[Tensor] | None:
         """See `HeldDepth.of`; None where nothing is held."""
-        if self.run.held_depth is None:
+        if self.run.measured.held is None:
             return None
         width, height = self.run.views.size(now.scale)
-        held = self.run.held_depth.of(now.frame, height, width)
+        held = self.run.measured.held.of(now.frame, height, width)
         if held is not None and now.window is not None:
             left, top, right, bottom = now.window
             held = held[:, top:bottom, left:right]

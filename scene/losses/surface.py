@@ -41,7 +41,7 @@ class Surface(Term):
         return self.run.settings.smooth_weight * SMOOTH_END ** self.run.progress(step) if self.run.several else 0.0
 
     def _measured(self, now: Now) -> tuple[Tensor | None, Tensor | None]:
-        known, views = self.run.measured_depth, self.run.views
+        known, views = self.run.measured.depth, self.run.views
         if known is None or not self.run.settings.depth_weight:
             return None, None
         width, height = views.size(now.scale)

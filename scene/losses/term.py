@@ -20,12 +20,26 @@ from .held_depth import HeldDepth
 from .measured_depth import MeasuredDepth
 from .photometric import Recording
 
-MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the pictures showed before training. Each is None if nothing was measured.
+
+    flow(i): the flow from frame i to the camera's next frame [H, W, 2] px and a weight [H, W], or None if there is none. depth: of the
+    static scene. held: the depth of what moves. moving(i): the moving pixels of frame i [h, w] bool, or None if nothing moves in it."""
+
+    flow: Callable[[int], tuple[Tensor, Tensor] | None] | None = None
+    depth: MeasuredDepth | None = None
+    held: HeldDepth | None = None
+    moving: Callable[[int], Tensor | None] | None = None
+
+
+NOTHING = Measured()
 
 
 @dataclass(eq=False)
 class Run:
-    """One training, as its terms know it. measured_flow, measured_depth, held_depth: see `Trainer`."""
+    """One training, as its terms know it."""
 
     views: Views
     settings: TrainingSettings
@@ -34,9 +48,7 @@ class Run:
     several: bool  # whether one time alone shows the scene from several sides
     total: int  # number of steps
     earlier: int = 0  # those that earlier stages took
-    measured_flow: MeasuredFlow | None = None
-    measured_depth: MeasuredDepth | None = None
-    held_depth: HeldDepth | None = None
+    measured: Measured = NOTHING
     camera: Callable[..., Camera] = field(init=False)  # `Views.rasterizer_camera`, which keeps what it returns
 
     def __post_init__(self) -> None:

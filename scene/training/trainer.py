@@ -12,9 +12,7 @@ import torch
 from torch import Tensor
 
 from ..colour import CameraAffine, colour_recorders
-from ..losses.held_depth import HeldDepth
-from ..losses.measured_depth import MeasuredDepth
-from ..losses.term import MeasuredFlow, Run
+from ..losses.term import NOTHING, Measured, Run
 from ..model import Model
 from ..motion.phases import Phase, alike_since
 from ..motion.recipe import Recipe
@@ -42,13 +40,10 @@ class Trainer:
     """Trains ``model`` in place on ``views``.
 
     phases: run in this order. settings: see `TrainingSettings`. budget, most: see `DensityControl`. lr_scale: factor on the rates of
-    parameters that an earlier stage has already trained. earlier: number of steps of that stage. measured_flow: returns for frame i the
-    flow to the camera's next frame [H, W, 2] px and a weight [H, W], or None if there is none. measured_depth: of the static scene.
-    held_depth: of what moves.
-    moving: see `DensityControl`.
-    checkpoints: folder of this run; training continues from a state found there that has the same ``part``: the name of this training
-    where a stage has several, one after another. advance: called with (steps, note). log: called with a
-    line for people to read.
+    parameters that an earlier stage has already trained. earlier: number of steps of that stage. measured: what renders are compared with
+    beside the pictures. checkpoints: folder of this run; training continues from a state found there that has the same ``part``: the name
+    of this training where a stage has several, one after another. advance: called with (steps, note). log: called with a line for people
+    to read.
     """
 
     def __init__(
@@ -63,10 +58,7 @@ class Trainer:
         lr_scale: float = 1.0,
         earlier: int = 0,
         grow: bool = True,
-        measured_flow: MeasuredFlow | None = None,
-        measured_depth: MeasuredDepth | None = None,
-        held_depth: HeldDepth | None = None,
-        moving: Callable[[int], Tensor | None] | None = None,
+        measured: Measured = NOTHING,
         recipe: Recipe | None = None,
         advance: Callable[[int, str], None] = lambda n, note: None,
         log: Callable[[str], None] = lambda message: None,
@@ -90,7 +82,7 @@ class Trainer:
         found = None if self._found is None else self._found[1].get("unit")
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy()) if found is None else float(found)
         steps = self.curriculum.several, self.total, earlier
-        self.objective = Objective(Run(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth, held_depth))
+        self.objective = Objective(Run(views, settings, recipe, self.unit, *steps, measured))
         self.learned = LearnedModel(model, settings, self.unit, lr_scale)
         self.replayed: ReplayedObjective | None = None
         measure: Measure = measure_responsibility
@@ -104,7 +96,7 @@ class Trainer:
         common = self.learned, views, self.curriculum, settings, recipe, phases
         self.motion = MotionControl(*common, self._event, log)
         self.clocks = ClockControl(model, views, self.curriculum, self.total, moves, self._event)
-        self.density = DensityControl(*common, budget, grow, self._event, measure, moving, most)
+        self.density = DensityControl(*common, budget, grow, self._event, measure, measured.moving, most)
 
     def run(self) -> TrainingLog:
         """Run all phases, starting from a checkpoint if there is one."""

@@ -14,10 +14,9 @@ from ...scene.views import Views
 from ..facts import Facts
 from ..seeds.artifact import StoredSeeds, required
 from ..shared.clocks import clock_lines
-from ..shared.dataset import load_frameset, load_views, measured_flow
+from ..shared.dataset import load_frameset, load_views
 from ..shared.defaults import auto_budget, found_facts
-from ..shared.held_depth import held_depth
-from ..shared.masks import measured_depth, moving_pixels
+from ..shared.measured import load_measured
 from ..shared.model import write_model
 from ..shared.train import train
 from ..shared.training_log import write_training_log
@@ -36,10 +35,9 @@ def train_coarse(ctx: Context) -> None:
     torch.manual_seed(settings.seed)
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, ctx.inputs["flow"], ctx.device)
-    stored = required(ctx.inputs["seeds"])
-    seeds = StoredSeeds.read(stored)
+    seeds = StoredSeeds.read(required(ctx.inputs["seeds"]))
     views.near, views.background = seeds.near, seeds.background
-    facts, flow = found_facts(ctx, views), measured_flow(ctx.inputs["flow"], views)
+    facts = found_facts(ctx, views)
 
     expected, kind = choose(settings.motion, facts), choose(settings.motion, facts, seeds.moving is not None)
     if kind != expected:
@@ -48,12 +46,11 @@ def train_coarse(ctx: Context) -> None:
     sh_degree = chosen_sh_degree(ctx, facts, seeds.path_width) if settings.sh_degree is None else settings.sh_degree
     steps = settings.iterations or auto_iterations(facts, settings, ctx.device)
     budget = settings.budget or auto_budget(facts, views, expected)
-    depth, held = measured_depth(seeds.depth, unit, ctx, frames), held_depth(stored, unit, ctx)
 
     start = Start(seeds.points, seeds.colors, seeds.dynamic, seeds.moving, sh_degree, MOST_SCALE * unit)
     model = first_model(kind, start, views, settings).to(ctx.device)
     phases = model.motion.phases(settings.strategy, steps, settings.full_from, small)
-    moving = moving_pixels(ctx, frames, views) if model.motion.splits_in_time else None
+    measured = load_measured(ctx, frames, views, seeds.depth, unit, model.motion.splits_in_time)
     find_first_motion(ctx, model, views, settings, steps, small)
     log = train(
         ctx,
@@ -64,10 +61,7 @@ def train_coarse(ctx: Context) -> None:
         settings,
         budget=budget,
         most=settings.budget,
-        measured_flow=flow,
-        measured_depth=depth,
-        held_depth=held,
-        moving=moving,
+        measured=measured,
     )
     for line in clock_lines(model.clocks, frames):
         ctx.log(line)

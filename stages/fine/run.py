@@ -13,10 +13,9 @@ from ...scene.settings import GrowthSettings, RefinementSettings, TrainingSettin
 from ..coarse.artifact import StoredCoarse, required
 from ..hulls.artifact import StoredHulls
 from ..seeds.artifact import read_depth
-from ..shared.dataset import load_frameset, load_views, measured_flow
+from ..shared.dataset import load_frameset, load_views
 from ..shared.defaults import auto_budget, found_facts
-from ..shared.held_depth import held_depth
-from ..shared.masks import measured_depth, moving_pixels
+from ..shared.measured import load_measured
 from ..shared.model import read_model, write_model
 from ..shared.train import train
 from ..shared.training_log import write_training_log
@@ -57,10 +56,7 @@ def train_fine(ctx: Context) -> None:
         earlier=coarse.iterations - left_to_fine(coarse.strategy, coarse.iterations, facts.static),
         lr_scale=1.0 if joint else auto_lr_scale(settings, facts),
         grow=joint,
-        measured_flow=measured_flow(ctx.inputs["flow"], views),
-        measured_depth=measured_depth(read_depth(ctx.inputs["seeds"]), unit, ctx, frames),
-        held_depth=held_depth(ctx.inputs["seeds"], unit, ctx),
-        moving=moving_pixels(ctx, frames, views) if joint else None,
+        measured=load_measured(ctx, frames, views, read_depth(ctx.inputs["seeds"]), unit, moving=joint),
     )
     write_model(ctx.out, model)
     write_training_log(ctx.out, log)

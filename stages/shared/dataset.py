@@ -1,4 +1,4 @@
-"""Converts artifacts to the inputs of training: posed views and measured flow."""
+"""The views that training and evaluation render, of the frames of a capture."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import torch
 
 from ...pipeline import Artifact, StageError
 from ...scene.model import Model
@@ -17,7 +15,6 @@ from ..flow.artifact import StoredFlow
 from .frameset import FrameSet
 from .posed_frameset import PosedFrameSet
 
-STATIC_WEIGHT = 0.1  # factor on the weight of measured flow where nothing moves
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), None: (0.0, 0.0, 0.0)}
 
 
@@ -75,33 +72,3 @@ def are_photos(frames: FrameSet, time: np.ndarray) -> bool:
     """Whether one camera photographed a static scene, so that each picture may have its own exposure and white balance. time [F]: equal
     for what shows one moment."""
     return len(np.unique(frames.camera)) == 1 and len(np.unique(time)) == 1 and not frames.alpha
-
-
-def measured_flow(flow: Artifact | None, views: Views):
-    """``frame -> (flow [h, w, 2] px, weight [h, w] in [0, 1])`` at half resolution, or None if nothing was measured.
-
-    The weight is the flow's confidence, reduced to a tenth where nothing moves. There the flow comes from the cameras alone and teaches
-    little (primitives in front of these pixels must not move), yet these many pixels would outweigh the moving ones.
-    """
-    if flow is None or not (stored := StoredFlow(flow)).measured:
-        return None
-    pairs = {first: p for p, (first, second) in enumerate(stored.pairs) if int(views.next[first]) == second}
-    trained = {int(i) for i in views.train}
-
-    def of_frame(i: int):
-        p = pairs.get(int(i))
-        if p is None or int(views.next[i]) not in trained:
-            return None
-        size = views.size(0.5)
-        shrink = np.array([size[0] / views.width, size[1] / views.height], np.float32)
-        field = cv2.resize(stored.forward(p).astype(np.float32), size, interpolation=cv2.INTER_AREA) * shrink
-        weight = cv2.resize(stored.confidence(p), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
-        if stored.has_moving:
-            moves = cv2.resize(stored.moving(int(i)), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
-            weight = weight * (STATIC_WEIGHT + (1 - STATIC_WEIGHT) * moves)
-        kept = views.kept(int(i), 0.5)
-        if kept is not None:
-            weight = weight * kept.cpu().numpy()
-        return torch.from_numpy(np.ascontiguousarray(field)), torch.from_numpy(weight)
-
-    return of_frame

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from e4dgs.scene.losses.term import Measured
 from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
@@ -33,7 +34,7 @@ def measured(i):
 
 def trained(model, views, phases=PHASES, **options):
     torch.manual_seed(0)
-    trainer = Trainer(model, views, phases, QUICK, 90, measured_flow=measured, **options)
+    trainer = Trainer(model, views, phases, QUICK, 90, measured=Measured(measured), **options)
     return trainer.run(), trainer
 
 

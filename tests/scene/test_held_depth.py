@@ -6,7 +6,7 @@ import pytest
 import torch
 from e4dgs.scene.losses.held_depth import LARGEST, HeldDepth, held_depth_difference
 from e4dgs.scene.losses.moving_depth import MovingDepth
-from e4dgs.scene.losses.term import Now
+from e4dgs.scene.losses.term import Measured, Now
 from replaying import begun
 
 
@@ -59,11 +59,11 @@ def test_maps_are_resized():
 
 def test_the_term_is_due_where_something_is_held_and_sees_the_window_alone():
     model, run = (trainer := begun("lifetimes")).model, trainer.objective.run
-    (frame, *_), (width, height) = (i for i in run.views.train.tolist() if run.held_depth.of(i, 1, 1) is not None), run.views.size(1.0)
-    bare = next(i for i in run.views.train.tolist() if run.held_depth.of(i, 1, 1) is None)
+    (frame, *_), (width, height) = (i for i in run.views.train.tolist() if run.measured.held.of(i, 1, 1) is not None), run.views.size(1.0)
+    bare = next(i for i in run.views.train.tolist() if run.measured.held.of(i, 1, 1) is None)
     term, now = MovingDepth(run), Now(frame, 0, 1.0, True)
     assert term.due(model, now) and term.inputs(model, now)[0].shape == (2, height, width)
     assert term.inputs(model, replace(now, window=(3, 5, 11, 9)))[0].shape == (2, 4, 8)
     assert term.inputs(model, replace(now, frame=bare)) is None
-    assert not MovingDepth(replace(run, held_depth=None)).due(model, now)
+    assert not MovingDepth(replace(run, measured=Measured())).due(model, now)
     assert not MovingDepth(replace(run, settings=run.settings.model_copy(update={"depth_weight": 0.0}))).due(model, now)

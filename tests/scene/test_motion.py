@@ -6,7 +6,7 @@ import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.losses.flow_loss import data_flow_loss, interval_loss, project, rendered_flow
 from e4dgs.scene.losses.flow_terms import Interval, MeasuredFlowTerm
-from e4dgs.scene.losses.term import Now, Run
+from e4dgs.scene.losses.term import Measured, Now, Run
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.carrier import Carrier
 from e4dgs.scene.motion.planes.field import DeformationField
@@ -168,7 +168,7 @@ def test_flow_terms_reach_the_motion_and_nothing_else():
 
 def due(model, total=100, frames=3, measured=None, **settings):
     """Steps of ``total`` that evaluate L_interval, and those that compare measured flow."""
-    run = Run(views(frames), TrainingSettings(flow_every=8, **settings), DeformationField.recipe, 1.0, False, total, 0, measured)
+    run = Run(views(frames), TrainingSettings(flow_every=8, **settings), DeformationField.recipe, 1.0, False, total, 0, Measured(measured))
     terms = Interval(run), MeasuredFlowTerm(run)
     return [[n for n in range(0, total, term.every) if term.due(model, Now(0, n, 1.0, True))] for term in terms]
 

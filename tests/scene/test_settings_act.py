@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from e4dgs.scene.losses.term import Measured
 from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.settings import GrowthSettings, RefinementSettings
 from e4dgs.scene.training.trainer import Trainer
@@ -29,6 +30,6 @@ def test_training_reads_what_it_is_told_and_growth_only_where_there_is_any(grow,
     views.load_alpha = lambda i: np.full((SIZE, SIZE), 255, np.uint8)
     flow = torch.zeros(SIZE // 2, SIZE // 2, 2), torch.ones(SIZE // 2, SIZE // 2)
     settings = Asked(SETTINGS)
-    Trainer(fresh(views), views, [Phase("refinement", 240)], settings, 80, tmp_path, grow=grow, measured_flow=lambda i: flow).run()
+    Trainer(fresh(views), views, [Phase("refinement", 240)], settings, 80, tmp_path, grow=grow, measured=Measured(lambda i: flow)).run()
     offered = set(RefinementSettings.model_fields) | (set(GrowthSettings.model_fields) if grow else set())
     assert settings.names == offered - BY_STAGES

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from e4dgs.scene.losses.term import Measured
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.lifetimes.at_frame import presence
 from e4dgs.scene.motion.lifetimes.lifetime import lifetime, set_lifetime
@@ -174,6 +175,12 @@ def test_training_asks_the_masks_whether_something_moves(moves, lives, monkeypat
     model = Model(gaussians, ConvexSet.empty(6, 0), Lifetimes(16), 0)
     mask = torch.full((10, 12), moves)
     Trainer(
-        model, views, [Phase("deformation", 280, move=True)], TrainingSettings(), 8, moving=lambda i: mask, recipe=Lifetimes.recipe
+        model,
+        views,
+        [Phase("deformation", 280, move=True)],
+        TrainingSettings(),
+        8,
+        measured=Measured(moving=lambda i: mask),
+        recipe=Lifetimes.recipe,
     ).run()
     assert len(model.gaussians) > 2 and bool(model.gaussians.dynamic.any()) is lives

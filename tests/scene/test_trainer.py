@@ -8,6 +8,7 @@ import pytest
 import torch
 from e4dgs.scene.losses.appearance import on_other_background
 from e4dgs.scene.losses.surface import SMOOTH_END, Surface
+from e4dgs.scene.losses.term import Measured
 from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
@@ -96,7 +97,7 @@ def test_measured_flow_steers_the_motion(views):
     settings = SETTINGS.model_copy(update={"iterations": 240, "data_flow_weight": 0.3, "flow_every": 1, "interval_weight": 0.0})
     paths = []
     for measured in (None, still):
-        model, _, _ = train(views, settings=settings, measured_flow=measured)
+        model, _, _ = train(views, settings=settings, measured=Measured(measured))
         moving = model.gaussians.dynamic.nonzero()[:, 0]
         first, last = (model.carried(moving, t).points.detach() for t in (0.0, 1.0))
         paths.append(float((last - first).norm(dim=1).sum()))

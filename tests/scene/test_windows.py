@@ -8,7 +8,7 @@ import pytest
 import torch
 from e4dgs.scene.losses.measured_depth import MeasuredDepth
 from e4dgs.scene.losses.surface import Surface
-from e4dgs.scene.losses.term import Now, Run
+from e4dgs.scene.losses.term import Measured, Now, Run
 from e4dgs.scene.motion.planes.field import DeformationField
 from sliding_gaussians import SETTINGS, make_views
 
@@ -25,7 +25,7 @@ def test_terms_on_depth_are_the_same(smooth, depth, scale):
     inverse = torch.linspace(0.1, 0.4, SIZE).expand(SIZE, SIZE).contiguous()
     known = MeasuredDepth({0: inverse}, UNIT, lambda i: moving)
     settings = SETTINGS.model_copy(update={"depth_weight": depth, "smooth_weight": smooth})
-    term = Surface(Run(views, settings, DeformationField.recipe, UNIT, True, 100, 0, None, known))
+    term = Surface(Run(views, settings, DeformationField.recipe, UNIT, True, 100, 0, Measured(depth=known)))
     size = round(SIZE * scale)
     left, top, right, bottom = window = tuple(round(edge * scale) for edge in WINDOW)
     inside = slice(top, bottom), slice(left, right)

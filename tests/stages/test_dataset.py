@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.scene.views import Views
-from e4dgs.stages.shared.dataset import are_photos, load_views, measured_flow
+from e4dgs.stages.shared.dataset import are_photos, load_views
+from e4dgs.stages.shared.measured import measured_flow
 from write_artifact import write_artifact
 
 WIDTH, HEIGHT, FRAMES = 16, 8, 5

@@ -14,8 +14,8 @@ from e4dgs.stages.flow.artifact import StoredFlow
 from e4dgs.stages.flow.choose_pairs import choose_pairs
 from e4dgs.stages.flow.settings import FlowSettings
 from e4dgs.stages.flow.stage import Flow
-from e4dgs.stages.shared.dataset import measured_flow
 from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.measured import measured_flow
 from e4dgs.vision.flow.method import Dis, FlowMethod
 from e4dgs.vision.flow.raft.architecture import SMALL
 from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow, trusted
