@@ -30,13 +30,14 @@ GB_OF_A_MATCHER = 0.13  # of each process that matches pictures
 GB_PER_MEGAPIXEL = 0.012  # summed over all frames, whose pictures are cached
 MOST_GB_OF_PICTURES = 5.0  # `scene.views.CACHE_BYTES`, and what is derived from the pictures
 GB_PER_MEGAPIXEL_OF_A_VIEW = 1.0  # of the view being rendered, with its gradients
+GB_PER_MEGAPIXEL_MEASURED = 1.8  # of the views that are being rendered and measured
 
 
-def training_resources(facts: Facts, device: str) -> Resources:
-    """Needs of a stage that renders with gradients or measures renders."""
+def training_resources(facts: Facts, device: str, of_a_view: float = GB_PER_MEGAPIXEL_OF_A_VIEW) -> Resources:
+    """Needs of a stage that renders with gradients or, with another need ``of_a_view`` (GB per megapixel), measures renders."""
     view = facts.width * facts.height / 1e6
     pictures = min(MOST_GB_OF_PICTURES, GB_PER_MEGAPIXEL * view * facts.frames)
-    return Resources(memory_gb=GB_OF_TORCH + pictures + GB_PER_MEGAPIXEL_OF_A_VIEW * view, gpu=device == "cuda")
+    return Resources(memory_gb=GB_OF_TORCH + pictures + of_a_view * view, gpu=device == "cuda")
 
 
 def picture_resources(facts: Facts, gb_per_megapixel: float, gb: float = GB_OF_PYTHON, gpu: bool = False) -> Resources:

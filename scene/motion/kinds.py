@@ -33,7 +33,7 @@ class MotionKind:
     steps: int | None = None
     first_steps: Callable[[Strategy, int], int] = lambda strategy, steps: 0
     step_seconds: float = 0.03
-    megapixel_seconds: float = 0.35
+    megapixel_seconds: float = 0.145
     convexes: bool = True
 
 
@@ -62,7 +62,7 @@ def _lifetimes() -> type[Motion]:
 
 
 KINDS: dict[str, MotionKind] = {
-    "static": MotionKind("nothing moves: Gaussians at rest", _static, pixels=8, step_seconds=0.01),
+    "static": MotionKind("nothing moves: Gaussians at rest", _static, pixels=8, step_seconds=0.01, megapixel_seconds=0.3),
     "planes": MotionKind("Gaussians, moved by the six-plane field", _planes),
     "nodes": MotionKind(
         "Gaussians, moved by control nodes",
@@ -70,11 +70,11 @@ KINDS: dict[str, MotionKind] = {
         pixels=5,
         steps=32_000,
         first_steps=first_motion_steps,
-        step_seconds=0.02,
-        megapixel_seconds=0.12,  # of the full image, although most steps render only a window around the object
+        step_seconds=0.0105,
+        megapixel_seconds=0.06,  # of the full image, although most steps render only a window around the object
         convexes=False,
     ),
-    "lifetimes": MotionKind("Gaussians; those on moving pixels live around a time of their own", _lifetimes),
+    "lifetimes": MotionKind("Gaussians; those on moving pixels live around a time of their own", _lifetimes, step_seconds=0.02),
 }
 
 

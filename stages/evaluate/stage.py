@@ -35,18 +35,18 @@ class Evaluate(Stage):
         return Applies.yes(f"no views in {', '.join(settings.splits)}: training views are measured instead")
 
     def estimate(self, facts: Mapping[str, Any], settings: EvaluateSettings) -> float | None:
-        """Two cores take about 1 s for each view and megapixel, without LPIPS, and as much at each time whose flicker is measured. The
+        """Two cores take about 0.7 s for each view and megapixel, and as much at each time whose flicker is measured. The
         report's movies and the scene in it come on top."""
         known = Facts.of(facts)
         views = SAMPLE + sum(known.splits.get(split, 0) for split in settings.splits)
         if known.fixed_cameras and not known.static:
             views += flicker_cameras(known.times) * known.times
-        return 5.0 + views * known.width * known.height / 1e6 + 0.3 * settings.movie_frames
+        return 2.0 + 0.7 * views * known.width * known.height / 1e6 + 0.09 * settings.movie_frames
 
     def resources(self, facts: Mapping[str, Any], settings: EvaluateSettings, device: str) -> Resources:
-        from ..estimates import training_resources
+        from ..estimates import GB_PER_MEGAPIXEL_MEASURED, training_resources
 
-        return training_resources(Facts.of(facts), device)
+        return training_resources(Facts.of(facts), device, GB_PER_MEGAPIXEL_MEASURED)
 
     def run(self, ctx: Context) -> None:
         from .run import evaluate

@@ -47,25 +47,25 @@ class Flow(Stage):
     def estimate(self, facts: Mapping[str, Any], settings: FlowSettings) -> float | None:
         """Seconds per pair and megapixel on two cores, for both directions. DIS medium and the small network are fitted to runs of the
         stage on 90 frames of 480x270; the others are scaled by the time of their pairs relative to these. Correcting outlines takes
-        0.15 s. The rest takes 0.16 s per frame and megapixel; masks of moving pixels, made at a small size, take the same at any size."""
+        0.09 s. The rest takes 0.1 s per frame and megapixel; masks of moving pixels, made at a small size, take the same at any size."""
         known = Facts.of(facts)
         width, height = known.width, known.height
         small_width, small_height = size_within(width, height, settings.max_size)
-        each = {"ultrafast": 0.22, "fast": 0.23, "medium": 0.36}[settings.preset]
+        each = {"ultrafast": 0.13, "fast": 0.14, "medium": 0.22}[settings.preset]
         if choice(settings.method, settings.weights)[0] == "raft":
             small = settings.method == "raft-small"
             if settings.weights is not None and settings.weights.is_file():
                 small = settings.weights.stat().st_size < SMALL_WEIGHTS
-            encoding, step = (0.9, 0.22) if small else (3.3, 0.5)
+            encoding, step = (0.55, 0.13) if small else (2.0, 0.3)
             each = encoding + 2 * step * min(settings.iterations, 14 if settings.tolerance else 100)
         pairs = min(known.pairs, most_pairs(settings.max_pairs, known.cameras))
         measured = pairs if known.new_items is None else min(pairs, known.new_items)
-        moving = (0.012 if known.fixed_cameras else 0.02) if settings.moving else 0.0
+        moving = (0.008 if known.fixed_cameras else 0.013) if settings.moving else 0.0
         return (
             (2.0 if settings.detect_static else 0.5)
-            + (each * small_width * small_height + 0.15 * width * height) * measured / 1e6
+            + (each * small_width * small_height + 0.09 * width * height) * measured / 1e6
             + moving * known.frames
-            + 0.16 * known.frames * width * height / 1e6
+            + 0.1 * known.frames * width * height / 1e6
         )
 
     def item_parts(self, given: Given) -> Sequence[Any]:

@@ -31,7 +31,7 @@ class Hulls(Stage):
 
     def estimate(self, facts: Mapping[str, Any], settings: HullSettings) -> float | None:
         known = Facts.of(facts)
-        return 2.0 + 0.3 * VIEWS * known.width * known.height / 1e6
+        return 0.5 + 0.13 * VIEWS * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: HullSettings, device: str) -> Resources:
         from ..estimates import training_resources

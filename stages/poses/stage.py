@@ -34,17 +34,17 @@ class Poses(Stage):
         return Applies.yes(f"structure from motion on {some} frames{still}{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
-        """Measured on one core: features 0.1 s + 1.3 s per megapixel (0.35 s where pictures are not enlarged), 0.1 s per pair, 0.9 s to
-        register an image (half if the camera only turns), 0.2 s to adjust it, 0.15 s to find moving objects, 8 s for the start and the
-        test whether the camera only turns. A second pass is not counted; it takes the time of registering once more and a third of the
-        pairs' time. Several cameras are assumed to stand still, as most do. Among `many` frames, on two cores: features 0.05 s + 0.3 s
-        per megapixel, and 0.02 s per pair and thousand features. A frame between key frames takes 0.1 s per megapixel."""
+        """Fitted to runs on two cores, second pass included: features 0.05 s + 0.65 s per megapixel (0.18 s where pictures are not
+        enlarged), 0.03 s per pair, 0.15 s to register a frame of a video (1.1 s for photos, which lie farther apart), 0.08 s to find moving
+        objects, 8 s for the start and the test whether the camera only turns. Several cameras are assumed to stand still, as most do. Among
+        `many` frames: features 0.05 s + 0.3 s per megapixel, and 0.02 s per pair and thousand features. A frame between key frames takes
+        0.1 s per megapixel."""
         from ...vision.sfm.looks import look_times
 
         known = Facts.of(facts)
         frames = known.frames
         large = known.cameras == 1 and not enlarged(known.width, known.height, known.static)
-        features = 0.1 + (0.35 if large else 1.3) * known.width * known.height / 1e6
+        features = 0.05 + (0.18 if large else 0.65) * known.width * known.height / 1e6
         if known.cameras > 1 and not known.static:
             cameras, times = known.cameras, look_times(known.cameras, known.times)
             features, pairs = cameras * times * features, times * cameras * (cameras - 1) / 2
@@ -55,12 +55,12 @@ class Poses(Stage):
             between = known.frames - frames
         lean = many(frames, known.static)
         pairs = len(image_pairs(choose(settings.matcher, frames, known.static), frames, settings.overlap))
-        looked = 0.15 if settings.moving and not known.static else 0.0
+        each = 1.1 if known.static else 0.23 if settings.moving else 0.15
         if lean:
             features, per_pair = 0.05 + 0.3 * known.width * known.height / 1e6, 2e-5 * (settings.max_features or STRONGEST)
         else:
-            per_pair = 0.1
-        return 8 + frames * (1.1 + looked + features) + per_pair * pairs + 0.1 * between * known.width * known.height / 1e6
+            per_pair = 0.03
+        return 8 + frames * (each + features) + per_pair * pairs + 0.1 * between * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:
         from ..estimates import GB_OF_A_MATCHER, GB_OF_PYTHON, picture_resources
