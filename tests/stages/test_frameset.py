@@ -8,8 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
-from e4dgs.pipeline import Artifact, ArtifactWriter
+from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
 from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.posed_frameset import PosedFrameSet
 from e4dgs.vision.images import pictures
 from factory import Camera, render
 from factory.writers import flatten
@@ -147,3 +148,10 @@ def test_opaque_pictures_beside_transparent_ones_get_an_alpha(open_set, dnerf_ca
 def test_importing_it_costs_no_torch_and_no_opencv():
     code = "import sys, e4dgs.stages.shared.frameset; print([m for m in ('torch', 'cv2') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_a_posed_frame_set_refuses_a_capture_without_poses(images_capture, dnerf_capture, tmp_path):
+    posed = PosedFrameSet(run_frames(dnerf_capture.root, tmp_path / "posed").artifact, dnerf_capture.root)
+    assert posed.K.shape == (len(posed), 3, 3) and posed.cam_from_world.shape == (len(posed), 4, 4)
+    with pytest.raises(StageError, match="no poses"):
+        PosedFrameSet(run_frames(images_capture.root, tmp_path / "bare").artifact, images_capture.root)
