@@ -11,7 +11,6 @@ from itertools import pairwise
 from pathlib import Path
 
 from ....pipeline import CaptureError
-from ..listing.kinds import role_of
 from ..video import timecode
 from ..video.survey import Survey
 
@@ -60,13 +59,6 @@ def told(found: Mapping[str, str], headers: Mapping[str, Survey]) -> tuple[str, 
 
 def _size(header: Survey) -> str:
     return f"{header.width}x{header.height}"
-
-
-def roles_told(names: Sequence[str]) -> tuple[str, ...]:
-    """A line about videos that show masks, depth or the like of another one; none without them."""
-    if not names:
-        return ()
-    return (f"{', '.join(names)}: left out, since by the name it shows the {role_of(names[0])} of another video and is no camera",)
 
 
 def refuse_chapters(root: Path, names: Sequence[str]) -> None:

@@ -16,8 +16,8 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks
+from ..clips.passes import passes
 from ..listing.copies import edited, same_bytes, told, told_edited
-from ..listing.kinds import colour_only
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
 from ..sound import onsets
 from ..sound.cache import onsets_of
@@ -45,8 +45,8 @@ def read(root: Path, options: Options) -> Reading:
     names = [name for name in names if name not in copied]
     edits = edited(names)
     names = [name for name in names if name not in edits]
-    colour = colour_only(names)
-    roles, names = [name for name in names if name not in colour], [name for name in names if name in colour]
+    roles, told_roles = passes(root, names)
+    names = [name for name in names if name not in roles]
     if len(names) < 2 and not edits and not roles:
         raise CaptureError(f"{root}: its videos are copies of one, byte for byte; pass that one: {root / names[0]}")
     meant = options.format == "videos" or options.sync is not None  # the user has said that they are cameras
@@ -56,7 +56,7 @@ def read(root: Path, options: Options) -> Reading:
     left_out = takes.smaller(root, probed)
     headers = {name: header for name, header in probed.items() if name not in left_out}
     names = list(headers)
-    twice = (*told(copied, "videos"), *told_edited(edits, "videos"), *takes.roles_told(roles), *takes.told(left_out, probed))
+    twice = (*told(copied, "videos"), *told_edited(edits, "videos"), *told_roles, *takes.told(left_out, probed))
     if len(names) < 2:  # one camera over time
         if options.sync is not None:
             raise CaptureError(f"{root}: frames.sync aligns several cameras; leave it unset: {'; '.join(twice)}")

@@ -226,11 +226,11 @@ def colour_only(names: list[str]) -> list[str]:
     others = {name for name in names if role_of(name) is not None}
     if not others:
         return names
-    colours = {_subject(name) for name in names if name not in others}
-    return [name for name in names if name not in others or _subject(name) not in colours]
+    colours = {subject_of(name) for name in names if name not in others}
+    return [name for name in names if name not in others or subject_of(name) not in colours]
 
 
-def _subject(name: str) -> tuple[str, ...]:
+def subject_of(name: str) -> tuple[str, ...]:
     """The words and numbers of a name that do not say what is shown of it."""
     bare = posixpath.splitext(name.lower())[0].removeprefix(_DYNAMIC)
     bare = re.sub(r"\.(mask|" + "|".join(suffix[1:] for suffix in IMAGE_SUFFIXES) + r")(?![^.])", "", bare)  # a.jpg.mask.png of a.jpg
