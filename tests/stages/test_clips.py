@@ -79,3 +79,51 @@ def test_grey_pictures_of_another_length_or_among_grey_ones_tell_no_pass(tmp_pat
     for seed, name in enumerate("ab"):
         clip(tmp_path / f"{name}.mp4", grey(seed), 13)
     assert len(cameras_of(tmp_path)) == 3
+
+
+def version(root, name, seed, size=(64, 48), look=1.0):
+    """The scene of ``seed`` that moves, darker by ``look``, at half its size if ``size`` is not whole."""
+    step = 64 // size[0]
+    pictures = [look * np.roll(scene(seed), k, axis=1).reshape(48 // step, step, 64 // step, step, 3).mean((1, 3)) for k in range(10)]
+    encode(root / name, np.rint(pictures).astype(np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("files", "read"),
+    [
+        ({"clip_proxy.mp4": (32, 24), "clip_graded.mp4": (64, 48)}, "clip_graded.mp4"),
+        ({"clip_proxy.mp4": (32, 24), "clip_graded.mp4": (64, 48), "clip.mp4": (64, 48)}, "clip.mp4"),
+        ({"clip_proxy.mp4": (64, 48), "clip_graded.mp4": (64, 48)}, "clip_graded.mp4"),
+        ({"clip_proxy.mp4": (32, 24), "clip_graded.mp4": (64, 48), "clip_original.mp4": (64, 48)}, "clip_original.mp4"),
+        ({"clip_graded_proxy.mp4": (32, 24), "clip_graded.mp4": (64, 48)}, "clip_graded.mp4"),
+        ({"clip_v2_graded_proxy.mp4": (32, 24), "clip_v2.mp4": (64, 48)}, "clip_v2.mp4"),
+        ({"clip_v2_proxy.mp4": (32, 24), "clip_v1.mp4": (64, 48), "clip_v2.mp4": (64, 48)}, "clip_v2.mp4"),
+        ({"clip_v2_proxy.mp4": (32, 24), "clip_v1.mp4": (64, 48)}, "clip_v1.mp4"),
+        ({"clip_v2.mp4": (32, 24), "clip_v1.mp4": (64, 48)}, "clip_v1.mp4"),
+        ({"clip_v2.mp4": (64, 48), "clip.mp4": (64, 48)}, "clip.mp4"),
+        ({"clip_1080p.mp4": (32, 24), "clip_2160p_graded.mp4": (64, 48)}, "clip_2160p_graded.mp4"),
+    ],
+)
+def test_of_the_versions_of_a_clip_one_is_read_and_no_proxy(tmp_path, files, read):
+    for k, (name, size) in enumerate(files.items()):
+        version(tmp_path, name, 1, size, 1 - 0.1 * k)
+    capture = recognise(tmp_path)
+    assert [video.file for video in capture.videos] == [read]
+    for name in files.keys() - {read}:
+        (note,) = [note for note in capture.notes if note.startswith(f"{name} (")]
+        assert f"it is the same clip as {read} (" in note and "which is read; rename it if" in note
+
+
+def test_the_original_is_read_though_a_version_is_larger_and_it_is_said(tmp_path):
+    version(tmp_path, "clip.mp4", 1, (32, 24))
+    version(tmp_path, "clip_graded.mp4", 1, (64, 48))
+    (video,) = recognise(tmp_path).videos
+    assert video.file == "clip.mp4"
+    assert any("to read it though, since it is larger, take the other one out" in note for note in recognise(tmp_path).notes)
+
+
+def test_views_with_the_names_of_versions_are_cameras(tmp_path):
+    for k in (1, 2, 3):
+        version(tmp_path, f"clip_v{k}.mp4", k)
+        version(tmp_path, f"clip_v{k}_proxy.mp4", k, (32, 24))
+    assert cameras_of(tmp_path) == ["clip_v1.mp4", "clip_v2.mp4", "clip_v3.mp4"]

@@ -1,5 +1,4 @@
-"""Several video files of one recording, which are no cameras of one event: the chapters that a camera splits a long recording into, and
-files of one clip in two sizes or looks."""
+"""Several video files of one recording, which are no cameras of one event: the chapters that a camera splits a long recording into."""
 
 from __future__ import annotations
 
@@ -17,48 +16,8 @@ from ..video.survey import Survey
 # GoPro: GX010034 and GX020034, before HERO6 GOPR0034 and GP010034; the last four digits count the recordings
 _CHAPTER = re.compile(r"(?:(G[HXLS])(\d\d)|(G)(?:OPR|P(\d\d)))(\d{4})", re.IGNORECASE)
 _JOIN = "ffmpeg -f concat -safe 0 -i list.txt -c copy all.mp4 (list.txt has a line for each, in order: file 'NAME'), and pass all.mp4"
-_SMALLER = re.compile(r"(.+?)[-_ ]?(?:proxy|preview|lowres|small|copy|src|input|(graded|vis|stab(?:ili[sz]ed)?)|(?<!\d)\d{3,4}p)")
-_ALIKE = 0.01  # of the number of frames
 _CLOCK = 2.0  # s; dates of files are whole seconds, and cameras write them a little before or after the first picture
 _SAME_RATE = 0.001
-
-
-def smaller(root: Path, headers: Mapping[str, Survey]) -> dict[str, str]:
-    """Those videos that are the clip of another one, and that one: what the camera saw stays, then the larger picture, of two equal the
-    larger file. Their names are the same but for the suffix and for words as `_proxy`, and their numbers of frames are within 1 %."""
-    clips: dict[str, list[str]] = {}
-    altered = set[str]()
-    for name in headers:
-        stem = posixpath.splitext(name)[0].lower()
-        match = _SMALLER.fullmatch(stem)
-        if match and match[2]:
-            altered.add(name)
-        clips.setdefault(match[1] if match else stem, []).append(name)
-    found: dict[str, str] = {}
-    for clip in clips.values():
-        kept: list[str] = []
-        rank = {name: (name in altered, -headers[name].width * headers[name].height, -(root / name).stat().st_size) for name in clip}
-        for name in sorted(clip, key=rank.__getitem__):
-            count = len(headers[name].seconds)
-            same = (other for other in kept if abs(len(headers[other].seconds) - count) <= _ALIKE * max(len(headers[other].seconds), count))
-            if (other := next(same, None)) is None:
-                kept.append(name)
-            else:
-                found[name] = other
-    return found
-
-
-def told(found: Mapping[str, str], headers: Mapping[str, Survey]) -> tuple[str, ...]:
-    """A line about each video that `smaller` has found."""
-    return tuple(
-        f"{name} ({_size(headers[name])}) is left out: by its name and its frames it is the same clip as {other} ({_size(headers[other])})"
-        "; rename it if it is a camera of its own"
-        for name, other in found.items()
-    )
-
-
-def _size(header: Survey) -> str:
-    return f"{header.width}x{header.height}"
 
 
 def refuse_chapters(root: Path, names: Sequence[str]) -> None:

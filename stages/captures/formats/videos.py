@@ -16,6 +16,7 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks
+from ..clips import versions
 from ..clips.passes import passes
 from ..listing.copies import edited, same_bytes, told, told_edited
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
@@ -53,10 +54,10 @@ def read(root: Path, options: Options) -> Reading:
     if not meant:
         takes.refuse_chapters(root, names)
     probed = {name: video.survey(root, name) for name in names}
-    left_out = takes.smaller(root, probed)
+    left_out = versions.older(root, probed)
     headers = {name: header for name, header in probed.items() if name not in left_out}
     names = list(headers)
-    twice = (*told(copied, "videos"), *told_edited(edits, "videos"), *told_roles, *takes.told(left_out, probed))
+    twice = (*told(copied, "videos"), *told_edited(edits, "videos"), *told_roles, *versions.told(left_out, probed))
     if len(names) < 2:  # one camera over time
         if options.sync is not None:
             raise CaptureError(f"{root}: frames.sync aligns several cameras; leave it unset: {'; '.join(twice)}")
