@@ -105,6 +105,24 @@ def test_masks_of_one_colour_hold_their_shape_in_alpha(tmp_path, grey, mode):
     assert len(said) == 1 and "alpha" in said[0]
 
 
+@pytest.mark.parametrize("mode", ["RGBA", "LA"])
+@pytest.mark.parametrize("hidden", [0, 255, None], ids=["black", "white", "kept"])
+def test_cut_outs_hold_their_mask_in_alpha(tmp_path, mode, hidden):
+    """Whatever the colours below it are. The object is small, bright and dark."""
+    colours = np.random.default_rng(3).integers(0, 256, (20, 30, 4), dtype=np.uint8)
+    shape = np.zeros((20, 30), np.uint8)
+    shape[4:9, 10:17], shape[4, 10:17] = 255, 90
+    if hidden is not None:
+        colours[shape == 0] = hidden
+    bands = [*(colours[..., k] for k in range(len(mode) - 1)), shape]
+    root = photos(tmp_path / "photos", [1, 1], (30, 20))
+    for i in range(2):
+        Image.merge(mode, [Image.fromarray(band) for band in bands]).save(root / f"masks/{i}.png")
+    np.testing.assert_array_equal(read_mask(root, "masks/0.png"), shape)
+    lines = run_frames(root, tmp_path / "out").lines
+    assert any("masks are pictures that are cut out, of which opaque is taken for white" in line and "(2 masks)" in line for line in lines)
+
+
 def test_alpha_of_masks_that_have_a_shape_in_grey_counts_for_nothing(tmp_path):
     grey = np.array([[0, 255], [255, 0]], np.uint8)
     for name, first, alpha in (

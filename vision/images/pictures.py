@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 Say = Callable[[str], None]
 TRUTH = "masks hold only 0 and 1, of which 1 is taken for white"
 ALPHA = "masks of one colour hold their shape in alpha, of which opaque is taken for white"
+CUT_OUT = "masks are pictures that are cut out, of which opaque is taken for white; save them without alpha if their brightness is meant"
+_MASK_GREY = 32  # of 255: as far from black or white, and as far apart in colour, a pixel may still be one of a mask
+_MOST_EDGES = 0.1  # of the opaque pixels of a mask: soft edges
 
 # What each EXIF orientation (tag 0x0112) does to an array [H,W].
 _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
@@ -53,16 +56,16 @@ def read_picture(root: Path, name: str, upright: bool = False, say: Say = lambda
 
 def read_mask(root: Path, name: str, turn: int = 1, say: Say = lambda what: None) -> np.ndarray:
     """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is masked. In a mask that holds only 0 and 1, as programs save truth values, 1
-    is masked; in one of one colour whose alpha is not the same everywhere, alpha is the mask. turn: the EXIF orientation of the photo,
-    given if the mask has the photo's size as stored, so that both are rotated alike. say: called with `TRUTH` or `ALPHA` for such
-    masks."""
+    is masked; in one of one colour, or with colours, whose alpha is not the same everywhere, alpha is the mask. turn: the EXIF
+    orientation of the photo, given if the mask has the photo's size as stored, so that both are rotated alike. say: called with `TRUTH`,
+    `ALPHA` or `CUT_OUT` for such masks."""
     try:
         with open_image(root / name) as opened:
             image = pixels(opened, upright=False)
             values = np.asarray(image if image.mode.startswith("I;16") else image.convert("L"))
             if (alpha := _shape_in_alpha(image, values)) is not None:
+                say(ALPHA if values.min() == values.max() else CUT_OUT)
                 values = alpha
-                say(ALPHA)
             truth = values.max() == 1
             mask = (values * 255).astype(np.uint8) if truth else values if values.dtype == np.uint8 else _eight_bits(image)
             if truth:
@@ -73,11 +76,21 @@ def read_mask(root: Path, name: str, turn: int = 1, say: Say = lambda what: None
 
 
 def _shape_in_alpha(image: Image, values: np.ndarray) -> np.ndarray | None:
-    """uint8 [H,W]: alpha if it says all that a mask with the grey ``values`` says; else None."""
-    if values.dtype != np.uint8 or values.min() != values.max() or not ("A" in image.getbands() or "transparency" in image.info):
+    """uint8 [H,W]: alpha if it says what a mask with the grey ``values`` should say: where these are all equal, or the picture that is cut
+    out shows more than black and white; else None."""
+    if values.dtype != np.uint8 or not ("A" in image.getbands() or "transparency" in image.info):
         return None
-    alpha = np.asarray(image.convert("RGBA").getchannel("A"))
-    return alpha if alpha.min() != alpha.max() else None
+    colours = np.asarray(image.convert("RGBA"))
+    alpha = np.ascontiguousarray(colours[..., 3])
+    if alpha.min() == alpha.max():
+        return None
+    if values.min() == values.max():
+        return alpha
+    opaque = colours[alpha > 127][:, :3].astype(int)
+    if not 0 < len(opaque) < alpha.size:
+        return None
+    shown = (np.minimum(opaque, 255 - opaque).max(axis=1) > _MASK_GREY) | (np.ptp(opaque, axis=1) > _MASK_GREY)
+    return alpha if shown.mean() > _MOST_EDGES else None
 
 
 def read_keep(root: Path, name: str, turn: int = 1, say: Say = lambda what: None) -> np.ndarray:
