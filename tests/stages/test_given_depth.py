@@ -175,6 +175,33 @@ def test_maps_of_another_shape_and_broken_ones_are_left_out(capture, tmp_path):
     assert f"the depth map depth/{second.name} is not read: such a file cannot be opened; copy it again" in notes and "layout" not in notes
 
 
+@pytest.mark.parametrize("suffix", [".npy", ".exr", ".png"])
+@pytest.mark.parametrize("what", ["depth", "confidence"])
+def test_maps_of_another_part_of_the_view_are_not_stretched(tmp_path, suffix, what):
+    """Depth of 4:3 beside pictures of 16:9, as a sensor of its own gives it."""
+
+    def save(file, width, height):
+        values = np.ones((height, width), np.float32)
+        if suffix == ".exr":
+            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+            OpenEXR.File(header, {"Z": values}).write(str(file))
+        elif suffix == ".npy":
+            np.save(file, values)
+        else:
+            Image.fromarray(values.astype(np.uint16)).save(file)
+
+    OpenEXR = pytest.importorskip("OpenEXR") if suffix == ".exr" else None
+    for folder in ("depth", "confidence"):
+        (tmp_path / folder).mkdir()
+        save(tmp_path / folder / f"a{suffix}", 16, 9)
+        save(tmp_path / folder / f"b{suffix}", *((16, 12) if folder == what else (16, 9)))
+    shots = [Shot(name=f"{name}.png", camera=0, time=0.0, size=(64, 36), file=f"{name}.png") for name in "ab"]
+    notes, files = add_depth(tmp_path, shots)
+    assert [bool(shot.depth) for shot in shots] == [True, what != "depth"] and shots[0].depth_confidence and not shots[1].depth_confidence
+    assert notes[-1].startswith(f"the {what} map {what}/b{suffix} is not read: {what} must have the shape of its picture; export it")
+    assert notes[-1].endswith("(it is 16x12, its picture 64x36)") and f"{what}/b{suffix}" in files
+
+
 def test_why_depth_is_not_read_is_true(capture):
     """Files of `depth_file_path` whose pictures are colours, depth with other names than its pictures, and depth of pictures not taken."""
     data = json.loads((capture.root / "transforms.json").read_text())

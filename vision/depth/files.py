@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib.util
 import math
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from ...pipeline import CaptureError
 from ..images.files import MOST_PIXELS, BadImageError, open_image, pixels
-from .exr import read_exr
+from .exr import exr_size, read_exr
 from .lzfse_files import PACKED, read_packed
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".exr", *PACKED)
@@ -53,21 +54,50 @@ def _image(path: Path) -> np.ndarray:
         return np.asarray(pixels(opened, upright=False))
 
 
+def stated_size(path: Path) -> tuple[int, int] | None:
+    """Width and height in px of a depth map, from its header alone; None for files that do not say them, as those of `PACKED`. Raises
+    BadImageError."""
+    suffix = path.suffix.lower()
+    if suffix in PACKED:
+        return None
+    if suffix == ".exr":
+        return exr_size(path)
+    if suffix == ".npy":
+        if not path.is_file():  # opening a pipe would block
+            raise BadImageError("it is not a file")
+        try:
+            with path.open("rb") as file:
+                height, width = _header(file, path)[:2]
+        except BadImageError:
+            raise
+        except Exception as error:  # broken headers raise many kinds of errors
+            raise BadImageError(str(error) or type(error).__name__) from error
+        return width, height
+    with open_image(path) as opened:
+        return opened.size
+
+
 def _numpy(path: Path) -> np.ndarray:
-    """The array [h, w] or [h, w, 1] of numbers. The claims of the header are checked against the file first."""
+    """The array [h, w] or [h, w, 1] of numbers."""
     try:
         with path.open("rb") as file:
-            version = np.lib.format.read_magic(file)
-            header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, _, dtype = header(file)
-            plain = dtype.kind in "fiu" and not dtype.hasobject and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 1))
-            if not plain or not 0 < math.prod(shape) <= MOST_PIXELS:
-                raise BadImageError(f"expected numbers [height, width], found {dtype} {list(shape)}")
-            if math.prod(shape) * dtype.itemsize > path.stat().st_size:
-                raise BadImageError(f"{list(shape)} are promised, which its {path.stat().st_size} bytes cannot hold")
+            shape = _header(file, path)
             file.seek(0)
             return np.asarray(np.lib.format.read_array(file, allow_pickle=False)).reshape(shape[:2])
     except BadImageError:
         raise
     except Exception as error:  # broken headers raise many kinds of errors
         raise BadImageError(str(error) or type(error).__name__) from error
+
+
+def _header(file: BinaryIO, path: Path) -> tuple[int, ...]:
+    """The shape that the header of an array states, whose claims are checked against the file."""
+    version = np.lib.format.read_magic(file)
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = header(file)
+    plain = dtype.kind in "fiu" and not dtype.hasobject and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 1))
+    if not plain or not 0 < math.prod(shape) <= MOST_PIXELS:
+        raise BadImageError(f"expected numbers [height, width], found {dtype} {list(shape)}")
+    if math.prod(shape) * dtype.itemsize > path.stat().st_size:
+        raise BadImageError(f"{list(shape)} are promised, which its {path.stat().st_size} bytes cannot hold")
+    return tuple(shape)

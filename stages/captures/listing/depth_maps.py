@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from ....vision.depth.files import GREY, IMAGES, SUFFIXES, missing_extra
+from ....vision.depth.files import GREY, IMAGES, SUFFIXES, missing_extra, stated_size
 from ....vision.images.files import BadImageError, open_image
 from .. import checks
 from ..reading import Shot
@@ -23,8 +23,8 @@ def add_depth(root: Path, shots: Sequence[Shot]) -> tuple[tuple[str, ...], tuple
     """Assigns to each shot without depth its map, if there is one: `depth/NAME` for `images/NAME`, or for NAME in the capture itself, with
     any of `SUFFIXES`; `depth/1x/NAME` for `rgb/1x/NAME`; `NAME.depth.png` beside `NAME.color.png`; the nearest stamp where names are time
     stamps; `NAME.depth` and `NAME.conf` beside it; and likewise `confidence/`. Maps that are no grey picture or do not have the shape of
-    theirs are left out, and those that need a package that is not installed. Returns notes for people if there is any, and the files that
-    were left out."""
+    their picture are left out, and those that need a package that is not installed. Returns notes for people if there is any, and the
+    files that were left out."""
     listed: dict[str, dict[str, str]] = {}
     for shot in shots:
         if shot.file is not None:
@@ -37,33 +37,53 @@ def add_depth(root: Path, shots: Sequence[Shot]) -> tuple[tuple[str, ...], tuple
             left_out.setdefault(why, []).append(shot.depth)
             files += [shot.depth, *([shot.depth_confidence] if shot.depth_confidence else [])]
             shot.depth = shot.depth_confidence = None
-    return (*told(shots), *(_told_unfit(why, those) for why, those in left_out.items())), tuple(files)
+    unsure: dict[str, list[str]] = {}
+    for shot in shots:
+        if (sure := shot.depth_confidence) and not missing_extra(sure) and (why := _of_another_shape(root, sure, shot, "confidence")):
+            unsure.setdefault(why, []).append(sure)
+            files.append(sure)
+            shot.depth_confidence = None
+    lines = [_told_unfit(why, those) for why, those in left_out.items()]
+    lines += [_told_unfit(why, those, "confidence map") for why, those in unsure.items()]
+    return (*told(shots), *lines), tuple(files)
 
 
-def _told_unfit(why: str, files: Sequence[str]) -> str:
+def _told_unfit(why: str, files: Sequence[str], what: str = "depth map") -> str:
     one = len(set(files)) == 1
-    count = f"the depth map {files[0]} is" if one else f"{len(set(files))} depth maps (first {files[0]}) are"
+    count = f"the {what} {files[0]} is" if one else f"{len(set(files))} {what}s (first {files[0]}) are"
     return f"{count} not read: {why}"
 
 
 def _unfit(root: Path, shot: Shot) -> str | None:
-    """Why the map of ``shot`` cannot be used; None if it can be opened and has the shape of its picture, which of other files than
-    pictures is not known yet."""
+    """Why the map of ``shot`` cannot be used; None if it can be opened and has the shape of its picture."""
     assert shot.depth is not None
     if extra := missing_extra(shot.depth):
         return f"that needs pip install 'e4dgs[{extra}]'"
-    if not shot.depth.lower().endswith(IMAGES):
-        return None
+    if shot.depth.lower().endswith(IMAGES):
+        try:
+            with open_image(root / shot.depth) as opened:
+                if opened.mode not in GREY:  # a picture of depth in colours
+                    return (
+                        f"a picture of depth must have one channel of grey, not {opened.mode}; export depth as PNG of 16 bits, NPY or EXR"
+                    )
+        except BadImageError:
+            return "such a file cannot be opened; copy it again"
+    return _of_another_shape(root, shot.depth, shot, "depth")
+
+
+def _of_another_shape(root: Path, file: str, shot: Shot, what: str) -> str | None:
+    """What is wrong with the size that ``file`` states; None if it has the shape of the picture of ``shot``, or states none. Of a map that
+    shows another part of the view, which part is not known, and stretched to the picture it would be wrong everywhere."""
     try:
-        with open_image(root / shot.depth) as opened:
-            if opened.mode not in GREY:  # a picture of depth in colours
-                return f"a picture of depth must have one channel of grey, not {opened.mode}; export depth as PNG of 16 bits, NPY or EXR"
-            width, height = opened.size
-    except BadImageError:
-        return "such a file cannot be opened; copy it again"
-    if abs(width * shot.size[1] / (height * shot.size[0]) - 1) < SHAPE:
+        size = stated_size(root / file)
+    except BadImageError:  # the stage `frames` refuses it
         return None
-    return "depth must have the shape of its picture; export it for the picture as it is stored"
+    if size is None or abs(size[0] * shot.size[1] / (size[1] * shot.size[0]) - 1) < SHAPE:
+        return None
+    return (
+        f"{what} must have the shape of its picture; export it for the picture as it is stored, or cut both to the part that both show (it "
+        f"is {size[0]}x{size[1]}, its picture {shot.size[0]}x{shot.size[1]})"
+    )
 
 
 def told(shots: Sequence[Shot]) -> tuple[str, ...]:
