@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import posixpath
 import re
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from ..listing.several import apart, several, told
 from ..listing.twins import without_depth
 from ..listing.unread import described
 from ..panorama import refuse_pictures
+from ..photos.rolls import roll
 from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
 from ..posed.camera_matrix import told as told_matrix
 from ..reading import Options, Reading, Shot
@@ -29,6 +31,8 @@ _COPY = re.compile(r"images_\d+")
 
 def detect(root: Path) -> str | None:
     folder = _folder(root)
+    if folder is None and (rolled := roll(root)) is not None:
+        return f"{len(rolled.names)} images in folders of one camera"
     return None if folder is None else f"{len(_images(root / folder))} images in {folder or 'the folder'}"
 
 
@@ -36,11 +40,12 @@ def read(root: Path, options: Options) -> Reading:
     folder = _folder(root)
     if folder is None and options.format == "images" and (root / "images").is_dir() and _images(root / "images"):
         folder = "images"  # the user chose this format, so other folders next to it do not matter
-    if folder is None:
+    rolled = roll(root) if folder is None else None
+    if folder is None and rolled is None:
         there = described(root) if root.is_dir() else ""
         raise CaptureError(f"{root}: no images here; pass the folder that holds them{there}")
-    prefix = f"{folder}/" if folder else ""
-    listed = [prefix + name for name in _images(root / folder)]
+    prefix = rolled.prefix if rolled else f"{folder}/" if folder else ""
+    listed = rolled.names if rolled else [prefix + name for name in _images(root / (folder or ""))]
     copied = copies.named_copies(root, listed)
     edits = copies.edited([name for name in listed if name not in copied])
     found, deep, said = without_depth(root, [name for name in listed if name not in copied and name not in edits])
@@ -62,7 +67,8 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(
             f"{prefix}{CAMERA_MATRIX}: one camera matrix for images of {len(set(sizes))} sizes; remove the file, or keep to one size"
         )
-    clock, gaps = (range(len(found)), None) if options.static else places(found)
+    bare = [posixpath.basename(name) if rolled else name for name in found]  # folders of one roll have numbers of their own
+    clock, gaps = (range(len(found)), None) if options.static else places(bare)
     shots = [
         Shot(name=path, camera=0, time=float(clock[i]), size=size, file=path) for i, path, size in zip(taken, paths, sizes, strict=True)
     ]
@@ -75,7 +81,7 @@ def read(root: Path, options: Options) -> Reading:
     thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if len(taken) < len(found) else ()
     ordered = by_value([name.removeprefix(prefix) for name in found])
     decimals = (f"the names are decimal numbers and are sorted by value: {found[0]} to {found[-1]}",) if ordered else ()
-    order = [gaps] if gaps else _rig_told(found, options.static)
+    order = [gaps] if gaps else _rig_told(bare, options.static)
     # Frames of a video and photos of a static scene cannot be told apart by their files; only --static says that nothing moves.
     return Reading(
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
@@ -85,6 +91,7 @@ def read(root: Path, options: Options) -> Reading:
         K_hint=hint,
         upright=upright,
         notes=(
+            *((rolled.note,) if rolled else ()),
             *thinned,
             *ordered_by,
             *decimals,

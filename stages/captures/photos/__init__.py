@@ -1,0 +1,1 @@
+"""Photos as cameras and phones leave them."""
