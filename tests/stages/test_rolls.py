@@ -79,3 +79,9 @@ def test_masks_and_missing_photos_of_a_roll(tmp_path):
     capture = recognise(root)
     assert capture.keeps[0] == "masks/100APPLE/IMG_0997.JPG.png"
     assert any("the names skip 999: times follow the numbers" in note for note in capture.notes)
+
+
+def test_what_exif_says_is_printed_without_control_characters(tmp_path):
+    root = photos(tmp_path, *PHONE, camera="Ap\x1b[31mple\x07 iPhone" + 1000 * "x")
+    (note,) = [note for note in recognise(root).notes if "EXIF" in note]
+    assert note.isprintable() and len(note) < 400

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from ....vision.images.files import BadImageError, open_image
 from .. import checks
+from ..exposure import KINDS
 from ..listing.kinds import PICTURE, colour_only, kind_of
 from ..listing.names import is_image, is_video
 from ..posed.time_folders import named_as_cameras
@@ -20,6 +21,7 @@ _OUTER = ("DCIM", "images")  # folders that hold such folders
 _SPLITS = ("train", "val", "test", "eval", "validation")
 _MOST_MISSING = 10  # photos, deleted between two folders whose names say nothing
 _MAKE, _MODEL = 0x010F, 0x0110
+_LONGEST = 40  # letters of either
 
 
 class Roll(NamedTuple):
@@ -119,9 +121,10 @@ def _cameras(root: Path, listed: dict[str, list[str]]) -> set[str]:
     for names in listed.values():
         try:
             with open_image(root / names[0]) as image:
-                exif = image.getexif()
+                exif = image.getexif() if image.format in KINDS else {}
+                told = " ".join(str(exif[tag])[:_LONGEST] for tag in (_MAKE, _MODEL) if tag in exif)
         except BadImageError:  # its reader says why
             continue
-        told = " ".join(str(exif[tag]).strip("\0 ") for tag in (_MAKE, _MODEL) if tag in exif)
+        told = "".join(letter for letter in told if letter.isprintable()).strip()  # a file may hold anything, and people read it
         found |= {told} if told else set()
     return found
