@@ -15,7 +15,7 @@ from .assembly.assemble import assemble
 from .assembly.transparent import judge_alpha
 from .capture import Capture
 from .formats import colmap, dnerf, images, llff, n3v, nerfies, nerfstudio, panoptic, video, videos
-from .formats.scans import polycam, record3d, rgbd, tum
+from .formats.scans import polycam, record3d, rgbd, stray, tum
 from .keep_masks import FOLDER
 from .listing import beside
 from .listing.archive_kind import archive_kind
@@ -29,7 +29,21 @@ from .reading import Options, Reading
 from .rigs import ONE_CAMERA, pictures_in, rig_without_poses
 
 Format = Literal[
-    "dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "llff", "record3d", "polycam", "rgbd", "tum", "images", "video", "videos"
+    "dnerf",
+    "n3v",
+    "panoptic",
+    "nerfstudio",
+    "nerfies",
+    "colmap",
+    "llff",
+    "record3d",
+    "polycam",
+    "stray",
+    "rgbd",
+    "tum",
+    "images",
+    "video",
+    "videos",
 ]
 FORMATS: tuple[Format, ...] = get_args(Format)
 # Formats with poses are tried first. A plain folder of images or a lone video is the fallback if no other file says more.
@@ -43,12 +57,13 @@ _POSED: dict[Format, ModuleType] = {
     "llff": llff,
     "record3d": record3d,
     "polycam": polycam,
+    "stray": stray,
     "rgbd": rgbd,
     "tum": tum,
 }
 _BARE: dict[Format, ModuleType] = {"images": images, "video": video, "videos": videos}
 _ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:)/+(.*)", re.DOTALL)  # a drive has one letter
-_STEPPED = ("n3v", "images", "video", "videos")
+_STEPPED = ("n3v", "stray", "images", "video", "videos")
 
 
 def recognise(path: str | Path, format: str | None = None, **settings: Any) -> Capture:

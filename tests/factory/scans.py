@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .scene import Synthetic, View
-from .writers import OPENGL_FROM_OPENCV, Capture, _opengl_pose, _quaternion, _save, _save_json, _truth, flatten
+from .writers import OPENGL_FROM_OPENCV, Capture, _opengl_pose, _quaternion, _save, _save_json, _truth, flatten, write_mp4
 
 
 def _pictures(synthetic: Synthetic, root: Path, name: str, first: int = 0) -> tuple[str, ...]:
@@ -59,6 +59,23 @@ def write_polycam(synthetic: Synthetic, root: Path, corrected: bool = False) -> 
         data |= {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "width": view.camera.width, "height": view.camera.height}
         _save_json(root / f"keyframes/{prefix}cameras/{Path(file).stem}.json", {**data, "blur_score": 90.0})
         _save(root / f"keyframes/depth/{Path(file).stem}.png", np.full((4, 4), 1000, np.uint16))
+    return Capture(root, synthetic, synthetic.views, files)
+
+
+def write_stray(synthetic: Synthetic, root: Path) -> Capture:
+    """Stray Scanner: rgb.mp4, odometry.csv (camera to world, OpenCV axes), camera_matrix.csv, depth/ in mm and confidence/."""
+    files = tuple(f"rgb.mp4#{i}" for i in range(len(synthetic.views)))
+    write_mp4(root / "rgb.mp4", (flatten(_truth(synthetic, view)) for view in synthetic.views), 60)
+    rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
+    for i, view in enumerate(synthetic.views):
+        w, x, y, z = _quaternion(view.camera.world_from_cam[:3, :3])
+        numbers = [*view.camera.world_from_cam[:3, 3], x, y, z, w]
+        rows.append(f"{5000 + i / 60:.6f}, {i:06d}, " + ", ".join(f"{v:.12f}" for v in numbers))
+        _save(root / f"depth/{i:06d}.png", np.full((16, 20), 1500 + i, np.uint16))
+        _save(root / f"confidence/{i:06d}.png", np.full((16, 20), 2, np.uint8))
+    (root / "odometry.csv").write_text("\n".join(rows) + "\n")
+    (root / "imu.csv").write_text("timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z\n")
+    np.savetxt(root / "camera_matrix.csv", synthetic.views[0].camera.K, delimiter=", ")
     return Capture(root, synthetic, synthetic.views, files)
 
 

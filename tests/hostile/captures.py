@@ -212,6 +212,16 @@ def polycam(root: Path) -> None:
         put(root, f"keyframes/cameras/{i}.json", {**matrix, "fx": 10, "fy": 10, "cx": 6, "cy": 4, "width": 12, "height": 8})
 
 
+def stray(root: Path) -> None:
+    put(root, "rgb.mp4", mp4())
+    put(root, "camera_matrix.csv", "10,0,6\n0,10,4\n0,0,1\n")
+    put(
+        root,
+        "odometry.csv",
+        "timestamp, frame, x, y, z, qx, qy, qz, qw\n" + "".join(f"{i}.0, {i:06d}, {0.1 * i}, 0, 0, 0, 0, 0, 1\n" for i in range(4)),
+    )
+
+
 def rgbd(root: Path) -> None:
     put(root, "K.txt", "10 0 6 0 10 4 0 0 1\n")
     for i in range(4):
@@ -246,6 +256,7 @@ LAYOUTS: dict[str, Callable[[Path], None]] = {
     "multiview": multiview,
     "record3d": record3d,
     "polycam": polycam,
+    "stray": stray,
     "rgbd": rgbd,
     "tum": tum,
 }

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import FORMATS, recognise
+from e4dgs.stages.shared.frameset import FrameSet
 from factory import Options, make
-from factory.scans import llff_row, write_llff, write_multiview, write_polycam, write_record3d, write_rgbd, write_tum
+from factory.scans import llff_row, write_llff, write_multiview, write_polycam, write_record3d, write_rgbd, write_stray, write_tum
 from PIL import Image
+from run_stage import run_frames
 from scipy.spatial.transform import Rotation
 
 PATH = Options(backdrop="room", rig="path", times=12, width=40, height=32, samples=1, fov_degrees=60.0)
@@ -176,6 +178,40 @@ def test_polycam(path, tmp_path, corrected):
     refused(tmp_path, "100003.json: t_23", "the pose")
     shutil.rmtree(file.parent)
     refused(tmp_path, "keyframes/cameras")
+
+
+def test_stray_scanner(path, tmp_path):
+    written = write_stray(path, tmp_path)
+    capture = recognise(tmp_path)
+    assert (capture.facts["format"], capture.facts["cameras"], capture.facts["depths"]) == ("stray", 1, 12)
+    assert_truth(capture, written)
+    assert capture.seconds[-1] == pytest.approx(11 / 60) and capture.depth_confidences[3] == "confidence/000003.png"
+    frames = FrameSet(run_frames(tmp_path, tmp_path / "out").artifact, tmp_path)
+    depth, sure = frames.depth(4)
+    assert np.all(depth == 1504) and np.all(sure == 2), "the maps of the frames that they were taken with"
+    thinned = recognise(tmp_path, every=3)
+    assert thinned.depths == tuple(f"depth/{i:06d}.png" for i in (0, 3, 6, 9))
+
+
+def test_stray_scanner_says_what_does_not_belong_together(path, tmp_path):
+    write_stray(path, tmp_path)
+    file = tmp_path / "odometry.csv"
+    head, *rows = file.read_text().splitlines()
+    file.write_text("\n".join([head, *rows[:2], *rows[3:], rows[0].replace("000000", "000012", 1).replace(", 000000", ", 000012")]))
+    notes = "; ".join(recognise(tmp_path).notes)
+    assert "took all 11 video frames" in notes and "1 frame of rgb.mp4" in notes and "1 pose of odometry.csv" in notes
+    for lines, words in (
+        ([head, rows[0], rows[0]], ("line 3: frame 0 has two poses",)),
+        ([head, *rows[:5]], ("poses for 5 of the 12 frames",)),
+        ([head, rows[0].replace("000000", "nan", 1)], ("line 2",)),
+        (["timestamp, x, y, z", *rows], ("names no column frame, qx, qy, qz, qw",)),
+        ([], ("names no column",)),
+    ):
+        file.write_text("\n".join(lines))
+        refused(tmp_path, "odometry.csv", *words)
+    file.write_text("\n".join([head, *rows]))
+    (tmp_path / "camera_matrix.csv").write_text("1500, 0, 960\n0, 1500, 720\n0, 0, 1\n")
+    refused(tmp_path, "camera_matrix.csv", "960, 720", "40x32", "rgb.mp4")
 
 
 def test_pictures_with_a_pose_file_each(path, tmp_path):
