@@ -158,6 +158,23 @@ def test_nerfstudio_filenames_of_splits_win_over_the_hold_out(nerfstudio_capture
     assert note.startswith("2 of 10 frames of transforms.json are in train_filenames and in a list that is held out; they are held out")
 
 
+def test_a_second_list_of_test_frames_is_held_out_and_bad_frames_are_left_out(nerfstudio_capture, tmp_path):
+    """As in ScanNet++."""
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "scannetpp")
+
+    def move(data):
+        data["test_frames"], data["frames"] = data["frames"][7:], data["frames"][:7]
+        data["frames"][2]["is_bad"], data["test_frames"][1]["is_bad"], data["frames"][3]["is_bad"] = True, True, False
+
+    edit(root / "transforms.json", move)
+    capture = recognise(root)
+    np.testing.assert_array_equal(capture.split, [0] * 6 + [2] * 2)
+    assert any("2 of 10 frames of transforms.json are marked is_bad and are left out; first" in note for note in capture.notes)
+    edit(root / "transforms.json", lambda data: data["test_frames"][2].pop("transform_matrix"))
+    with pytest.raises(CaptureError, match=r"test_frames\[2\]: transform_matrix"):
+        recognise(root)
+
+
 def test_nerfstudio_order_without_times_is_that_of_the_names(nerfstudio_capture, tmp_path):
     root = shutil.copytree(nerfstudio_capture.root, tmp_path / "untimed")
 

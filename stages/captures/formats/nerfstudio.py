@@ -10,8 +10,9 @@ from ....pipeline import CaptureError, counted
 from ....pipeline.names import composed
 from .. import checks, keep_masks
 from ..listing.numbers import SPLIT_WORDS
+from ..posed.finding import left_out
 from ..posed.timestamps import timestamps
-from ..reading import SPLITS, TRAIN, Options, Reading
+from ..reading import SPLITS, TEST, TRAIN, Options, Reading
 from ..rigs import Placed, place_untimed
 from . import transforms
 from .cameras_of_times import fixed_cameras, moving_cameras
@@ -28,10 +29,19 @@ def read(root: Path, options: Options) -> Reading:
     if detect(root) is None:
         raise CaptureError(f"{root}: no {_FILE}, which the nerfstudio layout needs; pass its folder or another --format")
     data = checks.read_json(root, _FILE)
-    frames = transforms.frames_of(data, _FILE)
+    frames, held_out = transforms.frames_of(data, _FILE), _test_frames(data)
+    places = [*(f"{_FILE}: frame {i}" for i in range(len(frames))), *(f"{_FILE}: test_frames[{i}]" for i in range(len(held_out)))]
+    frames = [*frames, *held_out]
     found = transforms.present(root, _FILE, {_FILE: frames})[_FILE]
-    splits, said = _splits(root, data, frames, found.paths)
-    paths = {i: path for i, path in found.paths.items() if splits is None or i in splits}
+    good = {i: path for i, path in found.paths.items() if frames[i].get("is_bad") is not True}
+    if not good:
+        raise CaptureError(f"{_FILE}: each frame with a picture is marked is_bad; take the mark off those that may be used")
+    splits, said = _splits(root, data, frames, good)
+    if splits is None and held_out:
+        splits = {i: TRAIN if i < len(frames) - len(held_out) else TEST for i in good}
+    paths = {i: path for i, path in good.items() if splits is None or i in splits}
+    if bad := [path for i, path in found.paths.items() if i not in good]:
+        said += (left_out(bad, len(found.paths), f"frames of {_FILE} are marked is_bad and are left out"),)
     if not paths:
         raise CaptureError(f"{_FILE}: no frame with a picture is in train_filenames, val_filenames or test_filenames; correct the lists")
     headers, alpha = checks.image_headers(root, paths.values())
@@ -45,7 +55,7 @@ def read(root: Path, options: Options) -> Reading:
     order = sorted(paths, key=lambda i: keys[i])
     shots, said_of_lenses = [], list[str]()
     for rank, i in enumerate(order):
-        shot = shot_of(root, frames[i], data, f"{_FILE}: frame {i}", paths[i], sizes[i], said_of_lenses, camera=0, time=float(rank))
+        shot = shot_of(root, frames[i], data, places[i], paths[i], sizes[i], said_of_lenses, camera=0, time=float(rank))
         shot.time = shot.time if times is None else times[i]
         shot.seconds = None if stamps.since is None or stamps.unit is None else stamps.since[i] * stamps.unit
         shot.split = TRAIN if splits is None else splits[i]
@@ -79,6 +89,11 @@ def read(root: Path, options: Options) -> Reading:
     )
     add_cloud(reading, root, data, _FILE)
     return reading
+
+
+def _test_frames(data: dict[str, Any]) -> list[dict[str, Any]]:
+    """The entries of `test_frames`, a second list beside `frames` in files of ScanNet++ (github.com/scannetpp/scannetpp)."""
+    return transforms.frames_of({"frames": data["test_frames"]}, f"{_FILE}: test_frames") if data.get("test_frames") else []
 
 
 def _fps(data: dict[str, Any]) -> float | None:
