@@ -55,6 +55,8 @@ def _scene_folder(path: Path, workspace: Path) -> Path:
     if found:
         names = ", ".join(folder.name for folder in found)
         raise ArtifactError(f"{path}: {workspace} has several scenes of this capture ({names}); give the folder of one, {found[0]}")
+    if not path.exists():
+        raise ArtifactError(f"{path}: there is no such file or folder, and no scene of this name in {workspace}; name its workspace")
     raise ArtifactError(
         f"{path}: this is not the folder of a scene, and {workspace} has no scene of such a capture; "
         f"make one with: {run_command(Options(path, workspace), 'all')}, or name its workspace"

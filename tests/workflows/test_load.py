@@ -42,6 +42,8 @@ def test_what_was_never_run_is_said_with_the_command_that_runs_it(finished, tmp_
     capture, workspace = finished
     with pytest.raises(ArtifactError, match=re.escape(f"e4dgs run all {tmp_path} --workspace {workspace}, or")):
         e4dgs.load(tmp_path, workspace=workspace)
+    with pytest.raises(ArtifactError, match="no such file or folder, and no scene of this name in"):
+        e4dgs.load("nobody", workspace=workspace)
     (scene,) = (path for path in (workspace / "scenes").iterdir() if path.name not in ("again", "other"))
     bare = tmp_path / "w" / "scenes" / "bare"
     shutil.copytree(scene, bare, ignore=lambda *_: ["records"])
