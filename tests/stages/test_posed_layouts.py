@@ -193,6 +193,18 @@ def test_stray_scanner(path, tmp_path):
     assert thinned.depths == tuple(f"depth/{i:06d}.png" for i in (0, 3, 6, 9))
 
 
+def test_older_recordings_of_stray_scanner_number_no_frames(path, tmp_path):
+    written = write_stray(path, tmp_path)
+    lines = [line.split(",")[2:] for line in (tmp_path / "odometry.csv").read_text().splitlines()]
+    (tmp_path / "odometry.csv").write_text("\n".join(map(",".join, lines)))
+    for i in range(12):
+        (tmp_path / f"depth/{i:06d}.png").unlink()
+        np.save(tmp_path / f"depth/{i:06d}.npy", np.full((16, 20), 1500 + i, np.uint16))
+    capture = recognise(tmp_path)
+    assert_truth(capture, written)
+    assert capture.depths[5] == "depth/000005.npy"
+
+
 def test_stray_scanner_says_what_does_not_belong_together(path, tmp_path):
     write_stray(path, tmp_path)
     file = tmp_path / "odometry.csv"
@@ -204,7 +216,7 @@ def test_stray_scanner_says_what_does_not_belong_together(path, tmp_path):
         ([head, rows[0], rows[0]], ("line 3: frame 0 has two poses",)),
         ([head, *rows[:5]], ("poses for 5 of the 12 frames",)),
         ([head, rows[0].replace("000000", "nan", 1)], ("line 2",)),
-        (["timestamp, x, y, z", *rows], ("names no column frame, qx, qy, qz, qw",)),
+        (["timestamp, frame, x, y, z", *rows], ("names no column qx, qy, qz, qw",)),
         ([], ("names no column",)),
     ):
         file.write_text("\n".join(lines))

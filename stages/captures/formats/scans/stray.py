@@ -2,8 +2,8 @@
 `confidence/000000.png` (0 to 2) for each frame.
 
 `odometry.csv` has a header and for each frame of the video timestamp, frame, x, y, z, qx, qy, qz, qw: camera to world in metres, OpenCV
-axes. `camera_matrix.csv` is the 3x3 matrix for the video. Facts from github.com/strayrobots/scanner (docs/format.md) and
-github.com/kekeblom/StrayVisualizer, which fuses the depth of these poses.
+axes. `camera_matrix.csv` is the 3x3 matrix for the video. Older recordings have neither timestamp nor frame, and depth as NPY. Facts from
+github.com/strayrobots/scanner (docs/format.md) and github.com/kekeblom/StrayVisualizer, which fuses the depth of these poses.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ...reading import Options, Reading, Shot, Video
 from ..video import MOST_FRAMES, MOST_OF_MOVING, choose, refuse_one, survey
 
 _VIDEO, _POSES, _MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
-_COLUMNS = ("frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def detect(root: Path) -> str | None:
@@ -85,7 +85,7 @@ def _matrix(root: Path, size: tuple[int, int]) -> np.ndarray:
 
 
 def _poses(root: Path) -> dict[int, np.ndarray]:
-    """[4,4] `world_from_cam` by the number of the frame."""
+    """[4,4] `world_from_cam` by the number of the frame, which is that of the row where no column says it."""
     lines = [line for line in text_of(root, _POSES).splitlines() if line.strip()]
     names = [name.strip().lower() for name in lines[0].split(",")] if lines else []
     if missing := [name for name in _COLUMNS if name not in names]:
@@ -94,19 +94,19 @@ def _poses(root: Path) -> dict[int, np.ndarray]:
     found: dict[int, np.ndarray] = {}
     for number, line in enumerate(lines[1:], 2):
         where = f"{_POSES}: line {number}"
-        row = numbers_of(line, where, (len(names),))[places]
-        frame, qw = row[0], row[7]
-        if not (np.isfinite(row).all() and frame == int(frame) and frame >= 0):
+        values = numbers_of(line, where, (len(names),))
+        row, frame = values[places], values[names.index("frame")] if "frame" in names else number - 2.0
+        if not (np.isfinite([frame, *row]).all() and frame == int(frame) and frame >= 0):
             raise CaptureError(f"{where}: expected a frame's number and finite values, found {line.strip()[:80]!r}; remove the line")
         if int(frame) in found:
             raise CaptureError(f"{where}: frame {int(frame)} has two poses; remove one")
         pose = np.eye(4)
-        pose[:3, :3] = rotation((qw, *row[4:7]), where)
-        pose[:3, 3] = row[1:4]
+        pose[:3, :3] = rotation((row[6], *row[3:6]), where)
+        pose[:3, 3] = row[:3]
         found[int(frame)] = checks.rigid(pose, where)
     return found
 
 
 def _map_of(root: Path, folder: str, i: int) -> str | None:
-    name = f"{folder}/{i:06d}.png"
-    return name if (root / name).is_file() else None
+    names = (f"{folder}/{i:06d}{suffix}" for suffix in (".png", ".npy"))
+    return next((name for name in names if (root / name).is_file()), None)
