@@ -13,7 +13,7 @@ from e4dgs.pipeline import settings_by_name
 from e4dgs.workflows.cli import app
 from e4dgs.workflows.presets import PRESETS
 from e4dgs.workflows.publish import PLAYER
-from e4dgs.workflows.reconstruction import reconstruction
+from e4dgs.workflows.reconstruction import STAGES, reconstruction
 from run_stage import run_frames, run_stage
 from script_module import load_script
 
@@ -58,6 +58,10 @@ def test_settings_that_documents_name_exist():
 def test_older_names_of_settings_lead_to_settings():
     stages = reconstruction().stages.values()
     assert {new for stage in stages for cls in stage.settings.__mro__ for new in vars(cls).get("renamed", {}).values()} <= set(NAMES)
+
+
+def test_the_command_line_names_all_stages():
+    assert tuple(reconstruction().stages) == STAGES
 
 
 def test_the_readme_is_short():

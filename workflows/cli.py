@@ -27,6 +27,7 @@ from .machine.spinning import spin_briefly
 from .machine.terminal import make_console, write_any_letter
 from .machine.writable import writing_to
 from .options import Debug, Workspace, of_capture, of_last_run
+from .reconstruction import STAGES
 from .runs import execute, report
 from .session import DEFAULT_WORKSPACE, Options, open_session
 from .storage.command import COMMANDS
@@ -86,7 +87,7 @@ def options_of_all(
 @app.command()
 @of_capture
 def run(
-    target: Annotated[str, typer.Argument(metavar="all|STAGE", help="All stages, or one stage and what it needs.")],
+    target: Annotated[str, typer.Argument(metavar="all|STAGE", help=f"All stages, or one and what it needs: {', '.join(STAGES)}.")],
     options: Options,
     force: Annotated[bool, typer.Option("--force", help="Run the stage (with 'all': every stage) even if it is cached.")] = False,
     watch: Annotated[bool, typer.Option("--view", help="Open the viewer as soon as there is something to see.")] = False,

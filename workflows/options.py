@@ -43,11 +43,18 @@ Captures = Annotated[list[Path], typer.Argument(parser=typed_path, metavar="CAPT
 Workspace = Annotated[Path, typer.Option("--workspace", parser=typed_path, metavar="DIR", help="Folder that holds store/ and scenes/.")]
 Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast, compact, best.")]
 PresetOfRun = Annotated[str | None, typer.Option("--preset", help="Preset of the run; by default that of the last one.")]
-Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage, such as frames.max_size=640 (docs/settings.md); may be repeated."
+    ),
+]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
 Name = Annotated[str | None, typer.Option("--name", callback=typed_name, help="Name of the scene; the capture's own name by default.")]
 Static = Annotated[bool, typer.Option("--static", help="Nothing moves in this capture.")]
-Format = Annotated[str | None, typer.Option("--format", help="Format of the capture, if its files fit several.")]
+Format = Annotated[
+    str | None, typer.Option("--format", help="Format of the capture, if its files fit several: see frames.format in docs/settings.md.")
+]
 Time = Annotated[
     str | None,
     typer.Option("--time", metavar="TIME", help="The best result in this time on this machine: 90s, 10m, 1h30m. Decides steps and sizes."),
