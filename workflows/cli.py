@@ -27,7 +27,6 @@ from .machine.spinning import spin_briefly
 from .machine.terminal import make_console, write_any_letter
 from .machine.writable import writing_to
 from .options import Debug, Workspace, of_capture, of_last_run
-from .reconstruction import STAGES
 from .runs import execute, report
 from .session import DEFAULT_WORKSPACE, Options, open_session
 from .storage.command import COMMANDS
@@ -84,10 +83,13 @@ def options_of_all(
     pass
 
 
+ONE_STAGE = "All stages, or one and what it needs: frames, poses, depth, flow, seeds, coarse, hulls, fine, evaluate."
+
+
 @app.command()
 @of_capture
 def run(
-    target: Annotated[str, typer.Argument(metavar="all|STAGE", help=f"All stages, or one and what it needs: {', '.join(STAGES)}.")],
+    target: Annotated[str, typer.Argument(metavar="all|STAGE", help=ONE_STAGE)],
     options: Options,
     force: Annotated[bool, typer.Option("--force", help="Run the stage (with 'all': every stage) even if it is cached.")] = False,
     watch: Annotated[bool, typer.Option("--view", help="Open the viewer as soon as there is something to see.")] = False,

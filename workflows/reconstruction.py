@@ -23,7 +23,6 @@ def reconstruction() -> Graph:
     return Graph([Frames(), Poses(), Depth(), Flow(), Seeds(), Coarse(), Hulls(), Fine(), Evaluate()])
 
 
-STAGES = ("frames", "poses", "depth", "flow", "seeds", "coarse", "hulls", "fine", "evaluate")  # known without loading them
 TRAINING = ("seeds", "coarse", "hulls", "fine")  # stages whose time is the training time of metrics.json
 EVALUATION = "evaluate"
 LIBRARIES = ("numpy", "scipy", "torch", "zarr", "pycolmap", "opencv-contrib-python-headless", "av", "pillow", "pydantic")

@@ -214,7 +214,7 @@ def polycam(root: Path) -> None:
 
 def stray(root: Path) -> None:
     put(root, "rgb.mp4", mp4())
-    put(root, "camera_matrix.csv", "10,0,6\n0,10,4\n0,0,1\n")
+    put(root, "camera_matrix.csv", "30,0,16\n0,30,12\n0,0,1\n")
     put(
         root,
         "odometry.csv",

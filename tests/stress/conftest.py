@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 from e4dgs.rasterizer import cpu_backend, cuda_backend
-from rasterizer.conftest import instruction_set, one_thread  # noqa: F401
+from rasterizer.conftest import _always, instruction_set  # noqa: F401
 from rasterizer.kernels import EMULATED, GPU, ready
 
 
