@@ -24,16 +24,14 @@ def device_of(camera: Camera, gaussians: Gaussians | None, convexes: Convexes | 
 
 def check_primitives(gaussians: Gaussians, convexes: Convexes, device: torch.device) -> None:
     """Raise TypeError or ValueError unless both have the fields, dtypes and shapes of their class, and lie on ``device``."""
-    _check_gaussians(gaussians)
-    _check_convexes(convexes)
-    for owner in (gaussians, convexes):
-        _check_device(owner, device)
+    _check_gaussians(gaussians, device)
+    _check_convexes(convexes, device)
 
 
 def check_picture(camera: Camera, background: Tensor, tiles: Tensor | None, device: torch.device, capturing: bool) -> None:
     """Raise TypeError, ValueError or RuntimeError unless ``background`` and ``tiles`` fit the camera and ``device``. They may stay on the
     CPU if that is a CUDA device, but not while a CUDA graph is being captured, when no values are read either."""
-    _check("background", background, (3,), None if device.type == "cuda" and background.device.type == "cpu" else device)
+    check("background", background, (3,), None if device.type == "cuda" and background.device.type == "cpu" else device)
     if not capturing and not all(map(math.isfinite, background.tolist())):
         raise ValueError(f"background must be finite, got {background.tolist()}")
     if tiles is not None:
@@ -42,7 +40,7 @@ def check_picture(camera: Camera, background: Tensor, tiles: Tensor | None, devi
         _check_capture(camera, background, tiles)
 
 
-def _check(name: str, value: object, shape: tuple[int | None, ...], device: torch.device | None = None) -> None:
+def check(name: str, value: object, shape: tuple[int | None, ...], device: torch.device | None = None) -> None:
     """Raise unless the value is a float32 or float64 tensor of this shape (None: any length) on this device (None: any)."""
     if not isinstance(value, Tensor):
         raise TypeError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
@@ -74,45 +72,38 @@ def _check_capture(camera: Camera, background: Tensor, tiles: Tensor | None) -> 
             )
 
 
-def _check_device(owner: Gaussians | Convexes, device: torch.device) -> None:
-    for name, value in vars(owner).items():
-        if value is not None and value.device != device:
-            kind = type(owner).__name__.lower()
-            raise ValueError(f"{kind}.{name} is on {value.device}, but the others are on {device}; all tensors must be on one device")
-
-
-def _check_gaussians(gaussians: Gaussians) -> None:
+def _check_gaussians(gaussians: Gaussians, device: torch.device) -> None:
     if not isinstance(gaussians, Gaussians):
         raise TypeError(f"gaussians must be Gaussians or None, got {type(gaussians).__name__}")
-    _check("gaussians.means", gaussians.means, (None, 3))
+    check("gaussians.means", gaussians.means, (None, 3), device)
     n = gaussians.means.shape[0]
-    _check("gaussians.quats", gaussians.quats, (n, 4))
-    _check("gaussians.scales", gaussians.scales, (n, 3))
-    _check("gaussians.opacities", gaussians.opacities, (n,))
-    _check_looks("gaussians", gaussians, n)
+    check("gaussians.quats", gaussians.quats, (n, 4), device)
+    check("gaussians.scales", gaussians.scales, (n, 3), device)
+    check("gaussians.opacities", gaussians.opacities, (n,), device)
+    _check_looks("gaussians", gaussians, n, device)
 
 
-def _check_convexes(convexes: Convexes) -> None:
+def _check_convexes(convexes: Convexes, device: torch.device) -> None:
     if not isinstance(convexes, Convexes):
         raise TypeError(f"convexes must be Convexes or None, got {type(convexes).__name__}")
-    _check("convexes.points", convexes.points, (None, None, 3))
+    check("convexes.points", convexes.points, (None, None, 3), device)
     m, k = convexes.points.shape[:2]
     if not POINTS[0] <= k <= POINTS[1]:
         raise ValueError(f"convexes.points must have {POINTS[0]} to {POINTS[1]} points each, got {list(convexes.points.shape)}")
     for name in ("tau", "kappa", "opacities"):
-        _check(f"convexes.{name}", getattr(convexes, name), (m,))
-    _check_looks("convexes", convexes, m)
+        check(f"convexes.{name}", getattr(convexes, name), (m,), device)
+    _check_looks("convexes", convexes, m, device)
 
 
-def _check_looks(kind: str, owner: Gaussians | Convexes, n: int) -> None:
+def _check_looks(kind: str, owner: Gaussians | Convexes, n: int, device: torch.device) -> None:
     """Check colours, SH and extras. The rules are the same for both kinds of primitive."""
     if (owner.sh is None) == (owner.colors is None):
         raise ValueError(f"{kind}: give exactly one of sh and colors, got {'neither' if owner.sh is None else 'both'}")
     if owner.colors is not None:
-        _check(f"{kind}.colors", owner.colors, (n, 3))
+        check(f"{kind}.colors", owner.colors, (n, 3), device)
     if owner.sh is not None:
-        _check(f"{kind}.sh", owner.sh, (n, None, 3))
+        check(f"{kind}.sh", owner.sh, (n, None, 3), device)
         if owner.sh.shape[1] not in SH_COEFFICIENTS:
             raise ValueError(f"{kind}.sh must have 1, 4, 9 or 16 coefficients (degree 0 to 3), got {list(owner.sh.shape)}")
     if owner.extras is not None:
-        _check(f"{kind}.extras", owner.extras, (n, None))
+        check(f"{kind}.extras", owner.extras, (n, None), device)

@@ -9,6 +9,7 @@ from dataclasses import fields
 import torch
 from torch import Tensor
 
+from .arguments import check
 from .types import Camera, Convexes, Gaussians
 
 SKEW = 1e-6  # relative to fx; smaller skew is taken for a rounding error in K
@@ -33,16 +34,8 @@ def check_camera(camera: Camera, values: bool = True) -> tuple[Matrix, Matrix] |
     """
     if not isinstance(camera, Camera):
         raise TypeError(f"camera must be a Camera, got {type(camera).__name__}")
-    for name, shape in (("K", (3, 3)), ("cam_from_world", (4, 4))):
-        value = getattr(camera, name)
-        if not isinstance(value, Tensor):
-            raise TypeError(f"camera.{name} must be a torch.Tensor, got {type(value).__name__}")
-        if value.dtype not in (torch.float32, torch.float64):
-            raise TypeError(f"camera.{name} must be float32 or float64, got {value.dtype}")
-        if value.shape != shape:
-            raise ValueError(f"camera.{name} must have shape {list(shape)}, got {list(value.shape)}")
-    if camera.cam_from_world.device != camera.K.device:
-        raise ValueError(f"camera.cam_from_world is on {camera.cam_from_world.device}, but camera.K is on {camera.K.device}")
+    check("camera.K", camera.K, (3, 3))
+    check("camera.cam_from_world", camera.cam_from_world, (4, 4), camera.K.device)
     for name in ("width", "height"):
         value = getattr(camera, name)
         if isinstance(value, bool) or not isinstance(value, int):

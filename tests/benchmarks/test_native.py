@@ -8,9 +8,9 @@ from bench_rows.native.counts import blend_limit, count_pairs
 from bench_rows.raster.accuracy import large_convexes
 from bench_rows.raster.pairs import counterpart
 from e4dgs.rasterizer.reference.blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
-from e4dgs.rasterizer.reference.compare import raw_alphas
 from e4dgs.workflows.bench import scenes
 from rasterizer.kernels import instruction_set  # noqa: F401
+from rasterizer.thresholds import raw_alphas
 from simt import needs_compiler
 
 pytestmark = needs_compiler

@@ -7,9 +7,10 @@ from bench_rows.peers.loss import torch_loss
 from bench_rows.peers.rasterizer import rasterize_torch
 from e4dgs.rasterizer import rasterize
 from e4dgs.rasterizer.reference.blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
-from e4dgs.rasterizer.reference.compare import decided_by_threshold, raw_alphas, relative_l2
+from e4dgs.rasterizer.reference.compare import relative_l2
 from e4dgs.workflows.bench import scenes
 from e4dgs.workflows.bench.rows import Bench
+from rasterizer.thresholds import decided_by_threshold, raw_alphas
 
 
 def small_scene(degree):

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import torch
 from e4dgs.rasterizer import Frame
-from e4dgs.rasterizer.reference.compare import OUTPUTS, cotangents, decided_by_threshold, gradients, raw_alphas, weigh
+from e4dgs.rasterizer.reference.compare import OUTPUTS, cotangents, gradients, weigh
 from torch import Tensor
+
+from .thresholds import decided_by_threshold, raw_alphas
 
 __all__ = [
     "OUTPUTS",

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import torch
 from e4dgs.rasterizer.reference.blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
-from e4dgs.rasterizer.reference.compare import projected
 from e4dgs.rasterizer.reference.convexes import Shapes
 from e4dgs.rasterizer.reference.gaussians import DILATION, Splats
 from e4dgs.rasterizer.reference.scene import Scene
 from e4dgs.rasterizer.types import Camera
+from rasterizer.thresholds import projected
 from torch import Tensor
 
 from .library import library

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import torch
 from e4dgs.rasterizer import Frame
-from e4dgs.rasterizer.reference.compare import cotangents, decided_by_threshold, gradients, relative_l2
+from e4dgs.rasterizer.reference.compare import cotangents, gradients, relative_l2
 from e4dgs.rasterizer.reference.scene import Scene
 from e4dgs.workflows.bench.rows import Bench, Check, Measured
 from e4dgs.workflows.bench.scenes import cloud, convexes, mixed
+from rasterizer.thresholds import decided_by_threshold
 from torch import Tensor
 
 from ..scenes import reconstructed_convexes

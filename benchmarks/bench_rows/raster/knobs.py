@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import torch
 from e4dgs.rasterizer import _cpu
-from e4dgs.rasterizer.reference.compare import decided_by_threshold
 from e4dgs.rasterizer.reference.scene import Scene
 from e4dgs.workflows.bench.render import both
 from e4dgs.workflows.bench.rows import Bench, Measured
 from e4dgs.workflows.bench.scenes import cloud
 from e4dgs.workflows.bench.timing import interleaved
+from rasterizer.thresholds import decided_by_threshold
 
 from ..curves import Curve, Plotted
 from .accuracy import COUNT, HEIGHT, WIDTH, errors, image_error, large_gaussians

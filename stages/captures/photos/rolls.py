@@ -14,11 +14,11 @@ from .. import checks
 from ..exposure import KINDS
 from ..listing.kinds import PICTURE, colour_only, kind_of
 from ..listing.names import is_image, is_video
+from ..listing.numbers import SPLIT_WORDS
 from ..posed.time_folders import named_as_cameras
 
 _OF_CAMERA = re.compile(r"[1-9]\d\d[A-Z0-9_]{5}")  # of the standard DCF: 100APPLE, 100CANON, 101_PANA
 _OUTER = ("DCIM", "images")  # folders that hold such folders
-_SPLITS = ("train", "val", "test", "eval", "validation")
 _MOST_MISSING = 10  # photos, deleted between two folders whose names say nothing
 _MAKE, _MODEL = 0x010F, 0x0110
 _LONGEST = 40  # letters of either
@@ -70,10 +70,11 @@ def _follow(listed: dict[str, list[str]]) -> bool:
         return False
     if _of_camera(listed):
         return True
-    if any(_OF_CAMERA.fullmatch(posixpath.basename(folder)) for folder in listed):  # of several cameras
+    folders = [posixpath.basename(folder) for folder in listed]
+    if any(map(_OF_CAMERA.fullmatch, folders)):  # of several cameras
         return False
-    folders, words = list(listed), {re.sub(r"\d+", "0", posixpath.splitext(posixpath.basename(name))[0]) for name in names}
-    if len(folders) < 2 or len(words) > 1 or named_as_cameras(folders) or any(posixpath.basename(f).lower() in _SPLITS for f in folders):
+    words = {re.sub(r"\d+", "0", posixpath.splitext(posixpath.basename(name))[0]) for name in names}
+    if len(folders) < 2 or len(words) > 1 or named_as_cameras(list(listed)) or any(folder.lower() in SPLIT_WORDS for folder in folders):
         return False
     if any(len(re.findall(r"\d+", posixpath.basename(posixpath.splitext(name)[0]))) != 1 for name in names):
         return False  # of two numbers, one may be the camera

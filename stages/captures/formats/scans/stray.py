@@ -3,7 +3,7 @@
 
 `odometry.csv` has a header and for each frame of the video timestamp, frame, x, y, z, qx, qy, qz, qw: camera to world in metres, OpenCV
 axes. `camera_matrix.csv` is the 3x3 matrix for the video. Older recordings have neither timestamp nor frame, and depth as NPY. Facts from
-github.com/strayrobots/scanner (docs/format.md) and github.com/kekeblom/StrayVisualizer, which fuses the depth of these poses.
+github.com/strayrobots/scanner (docs/format.md) and github.com/kekeblom/StrayVisualizer, which fuses their depth.
 """
 
 from __future__ import annotations
@@ -51,25 +51,20 @@ def read(root: Path, options: Options) -> Reading:
         shot.depth, shot.depth_confidence = (_map_of(root, folder, i) for folder in ("depth", "confidence"))
         shot.depth_confidence = shot.depth_confidence if shot.depth else None
         shots.append(shot)
+    some = f"all {len(posed)}" if len(taken) == len(posed) else f"{len(taken)} of {len(posed)}"
+    notes = [f"took {some} video frames that have a pose; frames.every and frames.max_frames change it"]
+    for one, of, its, other in (("frame", _VIDEO, total, _POSES), ("pose", _POSES, len(poses), _VIDEO)):
+        if left := its - len(posed):
+            notes.append(f"{counted(left, one)} of {of} without a counterpart in {other}: left out")
     return Reading(
         why=f"{_POSES} of Stray Scanner and {_VIDEO}, one moving camera",
         shots=shots,
         fps=header.fps,
         sources=(_POSES, _MATRIX),
         videos=(Video(_VIDEO, 0, taken, total),),
-        notes=_notes(total, len(posed), len(poses), len(taken)),
+        notes=tuple(notes),
         spoken_for=tuple(name for name in ("imu.csv", "depth", "confidence") if (root / name).exists()),
     )
-
-
-def _notes(total: int, posed: int, poses: int, taken: int) -> tuple[str, ...]:
-    some = f"all {posed}" if taken == posed else f"{taken} of {posed}"
-    notes = [f"took {some} video frames that have a pose; frames.every and frames.max_frames change it"]
-    if posed < total:
-        notes.append(f"{counted(total - posed, 'frame')} of {_VIDEO} have no pose in {_POSES} and are left out")
-    if posed < poses:
-        notes.append(f"{counted(poses - posed, 'pose')} of {_POSES} have no frame in {_VIDEO} and are left out")
-    return tuple(notes)
 
 
 def _matrix(root: Path, size: tuple[int, int]) -> np.ndarray:
@@ -89,7 +84,7 @@ def _poses(root: Path) -> dict[int, np.ndarray]:
     lines = [line for line in text_of(root, _POSES).splitlines() if line.strip()]
     names = [name.strip().lower() for name in lines[0].split(",")] if lines else []
     if missing := [name for name in _COLUMNS if name not in names]:
-        raise CaptureError(f"{_POSES}: its first line names no column {', '.join(missing)}; export the recording again")
+        raise CaptureError(f"{_POSES}: its first line names no column {', '.join(missing)}; export it again")
     places = [names.index(name) for name in _COLUMNS]
     found: dict[int, np.ndarray] = {}
     for number, line in enumerate(lines[1:], 2):
