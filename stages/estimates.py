@@ -10,7 +10,7 @@ from .shared.defaults import one_way
 SECONDS_PER_MAP = 0.03  # of a depth map that is read and aligned, on two cores
 SECONDS_PER_NETWORK_FRAME = 2.0  # a guess for a small network (25 M weights, 518 px) on two cores; none was timed
 DENSER_ALONG_A_PATH = 1.5  # Gaussians for each pixel, see `auto_budget`
-SECONDS_PER_FIRST_STEP = 0.03  # of a first training on very small images, on two cores
+SECONDS_PER_FIRST_STEP = 0.009  # of a first training on very small images, on two cores
 
 # Seeds, on two cores.
 SECONDS_PER_MEGAPIXEL_MAP = 15.0  # of a picture in the plane sweep, which is at most `SWEPT_SIZE` px wide

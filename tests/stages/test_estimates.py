@@ -68,8 +68,8 @@ def test_no_stage_takes_more_memory_than_it_asks_for_by_a_fifth(scene):
 
 
 def test_the_first_motion_takes_about_what_the_plan_says():
-    """Its 4000 steps were measured on two cores: 115 s for the sample, 125 s for lego."""
-    assert first_training_seconds(4000) == pytest.approx(120, rel=0.2)
+    """A step of it was measured on two cores: 8.4 to 9.3 ms for lego."""
+    assert first_training_seconds(1000) == pytest.approx(8.85, rel=0.2)
 
 
 def test_a_clip_of_4k_takes_about_what_the_plan_says():

@@ -106,5 +106,5 @@ def evaluation_units(job: Job, measured: int, movies: int, render: float) -> flo
 def guessed_evaluation(job: Job, known: Known, measured: int, movies: int) -> float:
     """Seconds of `evaluate`, before a view was judged."""
     facts = Facts.of(job.capture.facts)
-    each = 1.2 * facts.width * facts.height / 1e6  # s, as `evaluate` estimates
-    return known.stage_ratio(EVALUATION) * (3.0 + each * evaluation_units(job, measured, movies, 0.4))
+    each = 0.4 * facts.width * facts.height / 1e6  # s
+    return known.stage_ratio(EVALUATION) * (2.0 + each * evaluation_units(job, measured, movies, 0.4))
