@@ -48,13 +48,16 @@ def test_training_takes_what_the_plan_says_within_two_thirds(scene):
 
 
 @pytest.mark.parametrize("scene", FACTS)
-def test_stages_take_what_the_plan_says_on_the_machine_that_measured_them(scene):
+def test_stages_have_the_shares_of_a_run_that_the_plan_says(scene):
+    """Shares alone, since machines differ in speed."""
     run, settings = current(scene)
     if run["others"] > 0.5:
         pytest.skip("the row was measured beside other work")
     made = {name: stage["seconds"] for name, stage in run["metrics"]["stages"].items() if stage["state"] == "ran"}
     promised = {name: reconstruction().stages[name].estimate(FACTS[scene], settings[name]) for name in made}
-    assert sum(promised.values()) == pytest.approx(sum(made.values()), rel=0.25), (promised, made)
+    whole, planned = sum(made.values()), sum(promised.values())
+    for name, seconds in made.items():
+        assert promised[name] / planned == pytest.approx(seconds / whole, abs=0.06), (name, promised, made)
 
 
 @pytest.mark.parametrize("scene", FACTS)
