@@ -67,8 +67,8 @@ _STEPPED = ("n3v", "stray", "images", "video", "videos")
 
 
 def recognise(path: str | Path, format: str | None = None, **settings: Any) -> Capture:
-    """Reads a capture's names, JSON and image headers. Decodes only the first frame of a video, and a few pictures that have alpha or are
-    twice as wide as high.
+    """Reads a capture's names, JSON and image headers. Decodes a video's first frame, or some where its name is unclear, and a few
+    pictures with alpha or twice as wide as high.
 
     `format` forces a reader. settings: the others of `Options`. Raises `CaptureError` if the capture is unreadable or inconsistent, or fits
     two formats.
